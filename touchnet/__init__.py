@@ -1,0 +1,1 @@
+"""touchnet: closed triangle meshes from touching trajectories."""
