@@ -1,0 +1,206 @@
+"""What the commands share: one-line errors with an exit status, and output files that appear whole or not at all."""
+
+import contextlib
+import functools
+import io
+import os
+import secrets
+import signal
+import sys
+import threading
+import types
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import tyro
+
+BAD_INPUT = 2
+INTERRUPTED = 130  # 128 + SIGINT, as shells report it
+TERMINATED = 143  # 128 + SIGTERM
+BROKEN_PIPE = 141  # 128 + SIGPIPE
+
+T = TypeVar("T")
+
+
+def one_line(error: BaseException) -> str:
+    """The message of `error` on one line; of an OSError `path: reason` instead of `[Errno n] reason: 'path'`."""
+    if isinstance(error, OSError) and error.strerror and error.filename is not None:
+        text = f"{os.fsdecode(error.filename)}: {error.strerror}"
+    else:
+        text = str(error) or type(error).__name__
+    return " ".join(text.split())
+
+
+def command(name: str) -> Callable[[Callable[[Sequence[str] | None], int | None]], Callable[..., int]]:
+    """Decorator that makes the `main(argv)` of a command answer bad input with one line and an exit status.
+
+    The decorated function takes the arguments (`None`: those of the process) and returns the exit status: what the
+    body returned (`None`: 0), 2 after a ValueError, OSError, ImportError or lack of memory, 130 after Ctrl-C, 143 after
+    SIGTERM, 141 when the reader of a pipe went away. Warnings become one line each. Any other exception is a defect of
+    the program and keeps its traceback; `TOUCHNET_DEBUG=1` keeps it for all of them.
+
+    Args:
+        name: the name in front of messages, such as "touchnet reconstruct".
+    """
+
+    def decorate(body: Callable[[Sequence[str] | None], int | None]) -> Callable[..., int]:
+        @functools.wraps(body)
+        def main(argv: Sequence[str] | None = None) -> int:
+            def fail(message: str, status: int) -> int:
+                if os.environ.get("TOUCHNET_DEBUG", "") not in ("", "0"):
+                    raise
+                print(f"{name}: error: {message}", file=sys.stderr)
+                return status
+
+            with _one_line_warnings(name), _terminate_like_interrupt():
+                try:
+                    status = body(argv)
+                    sys.stdout.flush()
+                    return status or 0
+                except SystemExit as leave:
+                    if isinstance(leave.code, str):
+                        return fail(leave.code, BAD_INPUT)
+                    return leave.code or 0
+                except KeyboardInterrupt:
+                    return fail("interrupted", INTERRUPTED)
+                except BrokenPipeError:
+                    # Whatever is still buffered would raise again while the interpreter shuts down.
+                    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                    return BROKEN_PIPE
+                except (ValueError, OSError, ImportError) as error:
+                    return fail(one_line(error), BAD_INPUT)
+                except (MemoryError, RuntimeError) as error:
+                    if not _is_lack_of_memory(error):
+                        raise
+                    return fail(f"not enough memory ({one_line(error)})", BAD_INPUT)
+
+        return main
+
+    return decorate
+
+
+def parse(config: Callable[..., T], argv: Sequence[str] | None, *, prog: str, **options: Any) -> T:
+    """`tyro.cli` whose complaints are one line on stderr, followed by exit status 2.
+
+    Args:
+        config: the dataclass (or annotated callable) that describes the options.
+        argv: the arguments, `None` for those of the process.
+        prog: the name shown in usage and messages.
+        options: passed on to `tyro.cli`.
+
+    Raises:
+        SystemExit: 0 after --help, 2 after arguments that do not fit.
+    """
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            return tyro.cli(config, args=argv, prog=prog, **options)
+    except SystemExit as leave:
+        if not leave.code:
+            raise
+        print(f"{prog}: error: {_inside_of_box(said.getvalue())} (see {prog} --help)", file=sys.stderr)
+        raise SystemExit(BAD_INPUT) from None
+
+
+def _inside_of_box(text: str) -> str:
+    """What the frame that tyro draws around its errors says, without the pointers to --help."""
+    paragraphs: list[list[str]] = [[]]
+    for line in text.splitlines():
+        line = line.strip()
+        if line.startswith(("╭", "╰", "+")):
+            continue
+        line = line.strip("│|").strip()
+        if set(line) <= set("─-"):
+            paragraphs.append([])
+        else:
+            paragraphs[-1] += line.split()
+    said = [
+        " ".join(words) for words in paragraphs if words and words[:2] != ["For", "full"] and words[0] != "Argument"
+    ]
+    return "; ".join(said) or "the arguments do not fit"
+
+
+def check_output(path: str | os.PathLike[str], *, force: bool = False) -> Path:
+    """Whether a file may be written at `path`; to be asked before the long work.
+
+    Raises:
+        FileNotFoundError: the folder does not exist.
+        IsADirectoryError: `path` is a folder.
+        FileExistsError: the file exists and `force` is false.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder, expected the name of a file")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{path}: the folder {path.parent} does not exist")
+    if path.is_file() and not force:
+        raise FileExistsError(f"{path} exists; --force overwrites it")
+    return path
+
+
+@contextlib.contextmanager
+def atomic_output(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[Path]:
+    """Context that yields a temporary path to write to and moves it to `path` at the end.
+
+    The temporary file lies in the same folder and keeps the suffix, so that writers that choose a format by name do the
+    right thing. After an exception (Ctrl-C too) it is removed and `path` is as it was; after a kill at worst a file
+    named `.<name>.<random>.part<suffix>` remains, never half a file at `path`. A link is followed; a device such as
+    /dev/null is written directly.
+
+    Raises:
+        OSError: as `check_output`, at the start and again at the end.
+    """
+    check_output(path, force=force)
+    final = Path(path).resolve()
+    if final.exists() and not final.is_file():
+        yield final
+        return
+    temporary = final.with_name(f".{final.stem}.{secrets.token_hex(4)}.part{final.suffix}")
+    try:
+        temporary.open("xb").close()
+        yield temporary
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
+        check_output(final, force=force)
+        os.replace(temporary, final)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _is_lack_of_memory(error: BaseException) -> bool:
+    # torch.OutOfMemoryError is looked up by name: importing torch here would slow every --help down.
+    return (
+        isinstance(error, MemoryError)
+        or type(error).__name__ == "OutOfMemoryError"
+        or "can't allocate memory" in str(error)
+    )
+
+
+@contextlib.contextmanager
+def _one_line_warnings(name: str) -> Iterator[None]:
+    def show(message: Any, category: type, filename: str, lineno: int, file: Any = None, line: Any = None) -> None:
+        kind = "warning" if issubclass(category, UserWarning) else category.__name__
+        print(f"{name}: {kind}: {' '.join(str(message).split())}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        yield
+
+
+@contextlib.contextmanager
+def _terminate_like_interrupt() -> Iterator[None]:
+    """While inside, SIGTERM raises SystemExit, so that temporary files are removed as after Ctrl-C."""
+
+    def leave(signum: int, frame: types.FrameType | None) -> None:
+        raise SystemExit(TERMINATED)
+
+    usual = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    if usual:
+        signal.signal(signal.SIGTERM, leave)
+    try:
+        yield
+    finally:
+        if usual:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
