@@ -1,0 +1,137 @@
+import pytest
+import torch
+
+from touchnet.config import MODELS, ModelConfig, model_config_from_dict
+from touchnet.models import TouchNet
+from touchnet.models.unet3d import parameter_count
+
+SMALL = ModelConfig(grid=16, channels=(8, 8, 16, 16, 16))
+
+
+def touches_on_sphere(n, *, batch=1, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    normals = torch.nn.functional.normalize(torch.randn(batch, n, 3, generator=generator), dim=2)
+    return normals * 0.8, normals
+
+
+def queries_in_cube(m, *, batch=1, seed=1):
+    return torch.rand(batch, m, 3, generator=torch.Generator().manual_seed(seed)) * 2 - 1
+
+
+@pytest.fixture
+def model():
+    torch.manual_seed(0)
+    return TouchNet(SMALL).eval()
+
+
+def test_paper_size_has_the_papers_parameters():
+    with torch.device("meta"):
+        assert parameter_count(TouchNet("paper")) == 72_682_625
+
+
+def test_base_size_is_small():
+    with torch.device("meta"):
+        assert parameter_count(TouchNet("base")) <= 5_800_000
+
+
+@pytest.mark.parametrize("sampling", ["trilinear", "addition"])
+def test_occupancy_has_the_shape_of_the_queries_and_lies_in_0_1(sampling):
+    torch.manual_seed(0)
+    model = TouchNet(SMALL, sampling=sampling)
+    touches, normals = touches_on_sphere(50, batch=2)
+    occupancy = model(touches, queries_in_cube(30, batch=2), normals)
+    assert occupancy.shape == (2, 30)
+    assert occupancy.min() >= 0 and occupancy.max() <= 1
+
+
+def test_paper_network_runs_forward_and_backward():
+    torch.manual_seed(0)
+    model = TouchNet("paper")
+    touches, _ = touches_on_sphere(40, batch=2)
+    model(touches, queries_in_cube(20, batch=2)).sum().backward()
+    assert all(parameter.grad is not None for parameter in model.parameters())
+
+
+def test_every_parameter_of_base_gets_a_gradient(model):
+    touches, normals = touches_on_sphere(60)
+    model.logits(touches, queries_in_cube(200), normals).pow(2).sum().backward()
+    silent = [name for name, parameter in model.named_parameters() if parameter.grad is None or not parameter.grad.any()]
+    assert silent == []
+
+
+def test_order_of_touches_does_not_matter(model):
+    touches, normals = touches_on_sphere(300)
+    order = torch.randperm(300, generator=torch.Generator().manual_seed(2))
+    queries = queries_in_cube(500)
+    moved = model(touches[:, order], queries, normals[:, order])
+    assert (moved - model(touches, queries, normals)).abs().max() < 1e-6
+
+
+def test_rows_of_nan_are_padding(model):
+    touches, normals = touches_on_sphere(40)
+    padded = torch.cat([touches, torch.full((1, 7, 3), torch.nan)], dim=1)
+    padded_normals = torch.cat([normals, torch.zeros(1, 7, 3)], dim=1)
+    queries = queries_in_cube(100)
+    assert torch.equal(model(padded, queries, padded_normals), model(touches, queries, normals))
+
+
+def test_no_normals_means_zero_normals(model):
+    touches, _ = touches_on_sphere(40)
+    queries = queries_in_cube(100)
+    assert torch.equal(model(touches, queries), model(touches, queries, torch.zeros_like(touches)))
+
+
+def test_normals_change_the_field(model):
+    touches, normals = touches_on_sphere(40)
+    queries = queries_in_cube(100)
+    assert not torch.allclose(model(touches, queries, normals), model(touches, queries, -normals))
+
+
+def test_base_treats_each_sample_of_a_batch_alone(model):
+    touches, normals = touches_on_sphere(40, batch=3)
+    queries = queries_in_cube(100, batch=3)
+    model.train()
+    together = model(touches, queries, normals)
+    alone = torch.cat([model(touches[i : i + 1], queries[i : i + 1], normals[i : i + 1]) for i in range(3)])
+    assert torch.allclose(together, alone, atol=1e-6)
+
+
+def test_grid_channels_place_the_surface_within_a_cell():
+    # One contact a quarter of a cell above vertex (8, 8, 8) of a 17-vertex grid, its normal along +x.
+    model = TouchNet(ModelConfig(grid=16, channels=(8, 8, 16, 16, 16)))
+    cell = 2 / 15
+    vertex = torch.tensor([-1 + 8 * cell] * 3)
+    touches = (vertex + torch.tensor([0.25 * cell, 0, 0])).view(1, 1, 3)
+    normals = torch.tensor([[[1.0, 0, 0]]])
+    density, *offset, nx, ny, nz, height = model._grid(touches, normals)[0, :, 8, 8, 8].tolist()
+    weight = 0.75 / (0.75 + 0.1)
+    assert density == pytest.approx(torch.tensor(1.75).log().item(), abs=1e-5)
+    assert offset == pytest.approx([0.25 * weight, 0, 0], abs=1e-4)
+    assert [nx, ny, nz] == pytest.approx([weight, 0, 0], abs=1e-5)
+    assert height == pytest.approx(0.25 * weight, abs=1e-4)
+
+
+def test_state_survives_a_trip_through_a_dictionary():
+    config = MODELS["paper"]
+    assert model_config_from_dict({**vars(config), "channels": list(config.channels)}) == config
+    with pytest.raises(ValueError, match=r"unknown fields \['colour'\]"):
+        model_config_from_dict({"colour": 1})
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: TouchNet("huge"), "config should be one of .*'huge'"),
+        (lambda: TouchNet("base", sampling="nearest"), "sampling should be .*'nearest'"),
+        (lambda: TouchNet(ModelConfig(grid=50)), "config.grid should be a positive multiple of 16, got 50"),
+        (lambda: TouchNet(ModelConfig(scales=6)), r"config.scales should lie in 1..5, got 6"),
+        (lambda: TouchNet(SMALL)(torch.zeros(5, 3), torch.zeros(1, 5, 3)), r"touches should have shape \(B, N, 3\)"),
+        (
+            lambda: TouchNet(SMALL)(torch.zeros(1, 5, 3), torch.zeros(1, 5, 3), torch.zeros(1, 4, 3)),
+            r"normals should have the shape of touches \(1, 5, 3\), got \(1, 4, 3\)",
+        ),
+    ],
+)
+def test_errors_name_the_argument(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()

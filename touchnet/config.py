@@ -1,0 +1,80 @@
+"""Typed settings of the models and of training; every default stands here once."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Literal
+
+Sampling = Literal["trilinear", "addition"]
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Architecture of :class:`touchnet.models.TouchNet`; stored beside the weights."""
+
+    network: Literal["paper", "base"] = "base"
+    """`paper`: pooling, batch norm, two fully connected layers. `base`: strided convolutions, group norm, a
+    convolutional bottleneck, a skip at full resolution, features read from several scales."""
+    grid: int = 64
+    """Vertices along each side of the gridded volume; a multiple of 16."""
+    channels: tuple[int, ...] = (16, 32, 64, 128, 160)
+    """Channels of the volumes at grid, grid/2, ..., grid/16 (the `paper` network has its own)."""
+    scales: int = 3
+    """How many decoder volumes are sampled at a query, from full resolution down (`base` only)."""
+    sampling: Sampling = "trilinear"
+    """Features at a query: trilinear interpolation ("FI") or the sum of the cell's corners ("FA")."""
+    use_normals: bool = True
+    """Whether contact normals, when given, are gridded as further input channels (`base` only)."""
+
+
+MODELS: dict[str, ModelConfig] = {
+    "paper": ModelConfig(network="paper", channels=(16, 32, 64, 128, 256), scales=1, use_normals=False),
+    "base": ModelConfig(),
+}
+
+
+def model_config_from_dict(values: dict) -> ModelConfig:
+    """The inverse of :func:`dataclasses.asdict` after a trip through JSON; unknown fields raise ValueError."""
+    known = {field.name for field in dataclasses.fields(ModelConfig)}
+    unknown = sorted(set(values) - known)
+    if unknown:
+        raise ValueError(f"model configuration has unknown fields {unknown}; written by a newer touchnet?")
+    values = dict(values)
+    if "channels" in values:
+        values["channels"] = tuple(values["channels"])
+    return ModelConfig(**values)
+
+
+@dataclass(frozen=True)
+class SampleConfig:
+    """How one training sample is drawn from a shape: touches, query points, augmentation (together for both)."""
+
+    queries: int = 2048
+    """Labelled query points of a sample."""
+    near_share: float = 0.5
+    """Share of the queries that lie near the surface; the others are uniform: in the shape's box and in the cube."""
+    min_contacts: int = 64
+    """Fewest contacts of a sample; their number is drawn log-uniformly from here to `max_contacts`."""
+    max_contacts: int = 2048
+    """Most contacts of a sample."""
+    uniform_contacts: float = 0.4
+    """Share of the samples touched uniformly over the surface rather than along a trajectory."""
+    one_side: float = 0.1
+    """Share of the samples that lose all contacts on one side."""
+    no_normals: float = 0.4
+    """Share of the samples that come without contact normals."""
+    noise: float = 0.3
+    """Share of the samples with noisy contacts (positions up to 0.5 % of the longest side, normals up to 10 degrees)."""
+    stretch: float = 0.5
+    """Share of the samples scaled by 0.75 ... 1.33 along each axis."""
+    rotate_up: float = 0.15
+    """Share of the samples turned about the up axis by any angle (the others by quarter turns, mirrored in half)."""
+    rotate_free: float = 0.2
+    """Share of the samples turned freely."""
+
+
+PAPER_SAMPLES = SampleConfig(
+    queries=4000, min_contacts=2048, uniform_contacts=0, one_side=0, no_normals=1, noise=0, stretch=0, rotate_up=0,
+    rotate_free=0,
+)  # fmt: skip
