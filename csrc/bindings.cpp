@@ -1,7 +1,52 @@
 // The module touchnet._C, in the order of the pipeline. Tensors arrive as addresses; touchnet/ops checks them.
 #include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include "closest_point.h"
+#include "gp.h"
+#include "marching_cubes.h"
+#include "volume_bindings.h"
 
 namespace py = pybind11;
+
+using Address = std::uintptr_t;
+using Unlocked = py::call_guard<py::gil_scoped_release>;
+
+template <class T>
+static T* at(Address address) {
+  return reinterpret_cast<T*>(address);
+}
+
+using Extents = std::array<std::int64_t, 3>;
+using Corner = std::array<double, 3>;
+
+static touchnet::Lattice lattice(const Extents& points, const Corner& lower, const Corner& spacing) {
+  return {{points[0], points[1], points[2]},
+          {lower[0], lower[1], lower[2]},
+          {spacing[0], spacing[1], spacing[2]}};
+}
+
+template <class T>
+static void define_dense_cubes(py::module_& m, const char* name) {
+  using Cubes = touchnet::DenseCubes<T>;
+  py::class_<Cubes>(m, name)
+      .def(py::init([](Address values, Extents points, Corner lower, Corner spacing, double level, int threads) {
+        return new Cubes(at<const T>(values), lattice(points, lower, spacing), level, threads);
+      }))
+      .def(
+          "count",
+          [](Cubes& cubes) {
+            const auto counts = cubes.count();
+            return std::array<std::int64_t, 3>{counts.vertices, counts.faces, counts.not_finite};
+          },
+          Unlocked())
+      .def(
+          "emit",
+          [](const Cubes& cubes, Address vertices, Address faces, Address low, Address axis) {
+            cubes.emit(at<double>(vertices), at<std::int64_t>(faces), at<std::int64_t>(low), at<std::uint8_t>(axis));
+          },
+          Unlocked());
+}
 
 static py::dict build_info() {
   py::dict info;
@@ -29,4 +74,85 @@ static py::dict build_info() {
 PYBIND11_MODULE(_C, m) {
   m.doc() = "Compiled half of touchnet. Use touchnet.ops.";
   m.def("build_info", &build_info);
+
+  // Gridding and sampling: <op>_<direction>_<dtype>.
+  touchnet::define_volume_ops<float>(m, "float32");
+  touchnet::define_volume_ops<double>(m, "float64");
+
+  // Exploration: closest points on the mesh, Gaussian process of the contacts (touchnet/data).
+  py::class_<touchnet::TriangleTree>(m, "TriangleTree")
+      .def(py::init([](Address vertices, Address faces, std::size_t f) {
+             return touchnet::TriangleTree(at<const double>(vertices), at<const std::int64_t>(faces), f);
+           }),
+           Unlocked())
+      .def(
+          "closest",
+          [](const touchnet::TriangleTree& tree, Address points, std::size_t m, Address closest, Address face,
+             Address distance) {
+            tree.closest(at<const double>(points), m, at<double>(closest), at<std::int64_t>(face),
+                         at<double>(distance));
+          },
+          Unlocked());
+  m.def(
+      "gp_kernel",
+      [](int kernel, double scale, Address x, std::size_t m, Address y, std::size_t n, Address out) {
+        touchnet::gp_kernel(touchnet::Kernel(kernel), scale, at<const double>(x), m, at<const double>(y), n,
+                            at<double>(out));
+      },
+      Unlocked());
+  m.def(
+      "gp_forward",
+      [](Address factor, std::size_t n, Address row) {
+        return touchnet::gp_forward(at<const double>(factor), n, at<double>(row));
+      },
+      Unlocked());
+  m.def(
+      "gp_backward",
+      [](Address factor, std::size_t n, Address row) {
+        touchnet::gp_backward(at<const double>(factor), n, at<double>(row));
+      },
+      Unlocked());
+  m.def(
+      "gp_variance",
+      [](int kernel, double scale, Address contacts, Address factor, std::size_t n, Address x, Address row) {
+        return touchnet::gp_variance(touchnet::Kernel(kernel), scale, at<const double>(contacts),
+                                     at<const double>(factor), n, at<const double>(x), at<double>(row));
+      },
+      Unlocked());
+  m.def(
+      "gp_variance_gradient",
+      [](int kernel, double scale, Address contacts, Address factor, std::size_t n, Address x, Address row,
+         Address work, Address gradient) {
+        touchnet::gp_variance_gradient(touchnet::Kernel(kernel), scale, at<const double>(contacts),
+                                       at<const double>(factor), n, at<const double>(x), at<const double>(row),
+                                       at<double>(work), at<double>(gradient));
+      },
+      Unlocked());
+  m.def(
+      "gp_extend",
+      [](int kernel, double scale, Address contacts, Address factor, std::size_t start, std::size_t n, Address x,
+         std::size_t groups, std::size_t capacity, Address solved, Address variance) {
+        touchnet::gp_extend(touchnet::Kernel(kernel), scale, at<const double>(contacts), at<const double>(factor),
+                            start, n, at<const double>(x), groups, capacity, at<double>(solved), at<double>(variance));
+      },
+      Unlocked());
+  m.def(
+      "gp_backward_batch",
+      [](Address factor, std::size_t n, std::size_t groups, std::size_t capacity, Address solved) {
+        touchnet::gp_backward_batch(at<const double>(factor), n, groups, capacity, at<double>(solved));
+      },
+      Unlocked());
+  m.def(
+      "gp_highest",
+      [](int kernel, double scale, Address contacts, Address factor, std::size_t n, Address x, std::size_t groups,
+         std::size_t capacity, Address solved, Address variance, Address known) {
+        return touchnet::gp_highest(touchnet::Kernel(kernel), scale, at<const double>(contacts),
+                                    at<const double>(factor), n, at<const double>(x), groups, capacity,
+                                    at<double>(solved), at<double>(variance), at<std::size_t>(known));
+      },
+      Unlocked());
+
+  // Extraction.
+  define_dense_cubes<float>(m, "DenseCubesFloat");
+  define_dense_cubes<double>(m, "DenseCubesDouble");
 }
