@@ -9,6 +9,7 @@
 #include <string>
 
 #include "gridding.h"
+#include "gridding_reverse.h"
 #include "sampling.h"
 
 namespace touchnet {
@@ -47,6 +48,18 @@ void define_volume_ops(pybind11::module_& m, const std::string& dtype) {
             Address grad_points, Address grad_values, int threads) {
           gridding_backward(in(grad_volume), volume_shape(shape, strides), in(points), in(values), n,
                             result(grad_points), result(grad_values), threads);
+        },
+        Unlocked());
+  m.def(("gridding_reverse_forward_" + dtype).c_str(),
+        [=](Address volume, Extents shape, Extents strides, double fill, Address points, int threads) {
+          gridding_reverse_forward(in(volume), volume_shape(shape, strides), static_cast<T>(fill), result(points),
+                                   threads);
+        },
+        Unlocked());
+  m.def(("gridding_reverse_backward_" + dtype).c_str(),
+        [=](Address grad_points, Address volume, Extents shape, Extents strides, Address grad_volume, int threads) {
+          gridding_reverse_backward(in(grad_points), in(volume), volume_shape(shape, strides), result(grad_volume),
+                                    threads);
         },
         Unlocked());
 

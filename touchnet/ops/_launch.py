@@ -1,7 +1,8 @@
-"""How the operators call the compiled kernels: kernel of a dtype and device, threads or stream, gradients of gradients."""
+"""How the operators call the compiled kernels: eagerly, under torch.compile, and in recorded backward passes."""
 
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, wraps
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -31,7 +32,7 @@ def _kernel(name: str, device: str, dtype: torch.dtype) -> Callable[..., None]:
 
 
 def launch(name: str, dtype_of: Tensor, *arguments: object) -> None:
-    """Call kernel `name` of the tensor's dtype and device, with torch's number of threads or its current stream last."""
+    """Call the kernel for the tensor's dtype and device, with torch's number of threads or its current stream last."""
     device = dtype_of.device
     kernel = _kernel(name, device.type, dtype_of.dtype)
     if device.type == "cpu":
@@ -41,34 +42,52 @@ def launch(name: str, dtype_of: Tensor, *arguments: object) -> None:
             kernel(*arguments, torch.cuda.current_stream(device).cuda_stream)
 
 
+def raw_kernel(fake: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Make a function that launches kernels known to torch.compile as a custom operator with this fake.
+
+    Eager calls go straight to the function: the dispatcher would add some 20 microseconds.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        operator = torch.library.custom_op(f"touchnet::{function.__name__.lstrip('_')}", function, mutates_args=())
+        operator.register_fake(fake)
+
+        @wraps(function)
+        def call(*arguments):
+            return operator(*arguments) if torch.compiler.is_compiling() else function(*arguments)
+
+        call.operator = operator
+        return call
+
+    return decorate
+
+
 def volume_like(volume: Tensor) -> Tensor:
     """An empty dense tensor of a volume's shape: channels last where the volume is, contiguous otherwise."""
-    if volume.is_contiguous():
-        return torch.empty_like(volume, memory_format=torch.contiguous_format)
-    if volume.is_contiguous(memory_format=torch.channels_last_3d):
-        return torch.empty_like(volume, memory_format=torch.channels_last_3d)
-    return torch.empty_like(volume, memory_format=torch.contiguous_format)
+    last = volume.is_contiguous(memory_format=torch.channels_last_3d) and not volume.is_contiguous()
+    return torch.empty_like(volume, memory_format=torch.channels_last_3d if last else torch.contiguous_format)
 
 
 def refuse_transforms(name: str) -> None:
     """One clear error for vmap, jacrev and the other transforms of torch.func."""
-    if torch._C._are_functorch_transforms_active():
+    if not torch.compiler.is_compiling() and torch._C._are_functorch_transforms_active():
         raise NotImplementedError(
             f"{name} does not take part in torch.func transforms (vmap, grad, jacrev, ...): fold the mapped axis into "
             "the batch, use torch.autograd, or set TOUCHNET_BACKEND=reference"
         )
 
 
+def backward_is_recorded() -> bool:
+    """Whether a backward pass is itself being recorded (create_graph=True); torch.compile records none."""
+    return torch.is_grad_enabled() and not torch.compiler.is_compiling()
+
+
 def differentiable_backward(
     function: Callable[..., Tensor], inputs: Sequence[Tensor | None], wanted: Sequence[bool], grad: Tensor
 ) -> list[Tensor | None]:
-    """Gradients that can be differentiated again: through the reference formula, recorded by autograd.
-
-    Used only while a backward pass is itself being recorded (create_graph=True).
-    """
+    """Gradients that can be differentiated again: autograd records the reference formula."""
     aliases = [None if x is None else x.view_as(x) for x in inputs]  # cut off from each other's history
-    with torch.enable_grad():
-        output = function(*aliases)
+    output = function(*aliases)
     chosen = [alias for alias, want in zip(aliases, wanted, strict=True) if want]
     found = iter(torch.autograd.grad(output, chosen, grad, create_graph=True, allow_unused=True))
     return [next(found) if want else None for want in wanted]

@@ -1,23 +1,29 @@
-"""Points into a volume: gridding."""
+"""Points into a volume and back: gridding, gridding_reverse."""
+
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
 from touchnet import reference
-from touchnet.ops._launch import differentiable_backward, launch, refuse_transforms
+from touchnet.ops._launch import backward_is_recorded, differentiable_backward, launch, raw_kernel, refuse_transforms
 from touchnet.reference import _checks
 
 
-def _forward(points: Tensor, values: Tensor | None, size: list[int], channels_last: bool) -> Tensor:
-    points = points.contiguous()
-    values = None if values is None else values.contiguous()
-    channels = 1 if values is None else 1 + values.shape[2]
-    volume = torch.empty(
-        (points.shape[0], channels, *size),
+def _new_volume(points: Tensor, values: Tensor | None, size: Sequence[int], channels_last: bool) -> Tensor:
+    return torch.empty(
+        (points.shape[0], 1 if values is None else 1 + values.shape[2], *size),
         dtype=points.dtype,
         device=points.device,
         memory_format=torch.channels_last_3d if channels_last else torch.contiguous_format,
     )
+
+
+@raw_kernel(fake=_new_volume)
+def _gridding_forward(points: Tensor, values: Tensor | None, size: Sequence[int], channels_last: bool) -> Tensor:
+    points = points.contiguous()
+    values = None if values is None else values.contiguous()
+    volume = _new_volume(points, values, size, channels_last)
     launch(
         "gridding_forward",
         points,
@@ -31,14 +37,23 @@ def _forward(points: Tensor, values: Tensor | None, size: list[int], channels_la
     return volume
 
 
-def _backward(
+def _new_gradients(
     grad: Tensor, points: Tensor, values: Tensor | None, want_points: bool, want_values: bool
 ) -> tuple[Tensor, Tensor]:
-    """Gradients of points and values; an empty tensor for one that is not wanted."""
+    """Tensors for the gradients of points and values; without elements where one is not wanted."""
+    return (
+        points.new_empty(points.shape if want_points else 0),
+        points.new_empty(values.shape if want_values and values is not None else 0),
+    )
+
+
+@raw_kernel(fake=_new_gradients)
+def _gridding_backward(
+    grad: Tensor, points: Tensor, values: Tensor | None, want_points: bool, want_values: bool
+) -> tuple[Tensor, Tensor]:
     points = points.contiguous()
     values = None if values is None else values.contiguous()
-    grad_points = torch.empty_like(points) if want_points else points.new_empty(0)
-    grad_values = torch.empty_like(values) if want_values and values is not None else points.new_empty(0)
+    grad_points, grad_values = _new_gradients(grad, points, values, want_points, want_values)
     launch(
         "gridding_backward",
         points,
@@ -59,13 +74,13 @@ class _Gridding(torch.autograd.Function):
     def forward(ctx, points, values, size, channels_last):
         ctx.save_for_backward(points, values)
         ctx.size = size
-        return _forward(points, values, size, channels_last)
+        return _gridding_forward(points, values, size, channels_last)
 
     @staticmethod
     def backward(ctx, grad):
         points, values = ctx.saved_tensors
         want_points, want_values = ctx.needs_input_grad[:2]
-        if torch.is_grad_enabled():
+        if backward_is_recorded():
             size = tuple(ctx.size)
             found = differentiable_backward(
                 lambda points, values: reference.gridding(points, size, values=values),
@@ -74,7 +89,7 @@ class _Gridding(torch.autograd.Function):
                 grad,
             )
             return (*found, None, None)
-        grad_points, grad_values = _backward(grad, points, values, want_points, want_values)
+        grad_points, grad_values = _gridding_backward(grad, points, values, want_points, want_values)
         return grad_points if want_points else None, grad_values if want_values else None, None, None
 
 
@@ -117,4 +132,74 @@ def gridding(
     channels_last = memory_format == torch.channels_last_3d
     if torch.is_grad_enabled() and (points.requires_grad or (values is not None and values.requires_grad)):
         return _Gridding.apply(points, values, size, channels_last)
-    return _forward(points, values, size, channels_last)
+    return _gridding_forward(points, values, size, channels_last)
+
+
+@raw_kernel(fake=lambda volume, fill: volume.new_empty(volume.shape[0], volume[0].numel(), 3))
+def _gridding_reverse_forward(volume: Tensor, fill: float) -> Tensor:
+    volume = volume.contiguous()
+    points = volume.new_empty(volume.shape[0], volume.shape[2] * volume.shape[3] * volume.shape[4], 3)
+    launch(
+        "gridding_reverse_forward", volume, volume.data_ptr(), volume.shape, volume.stride(), fill, points.data_ptr()
+    )
+    return points
+
+
+@raw_kernel(fake=lambda grad, volume: volume.new_empty(volume.shape))
+def _gridding_reverse_backward(grad: Tensor, volume: Tensor) -> Tensor:
+    grad, volume = grad.contiguous(), volume.contiguous()
+    result = torch.empty_like(volume)
+    launch(
+        "gridding_reverse_backward",
+        volume,
+        grad.data_ptr(),
+        volume.data_ptr(),
+        volume.shape,
+        volume.stride(),
+        result.data_ptr(),
+    )
+    return result
+
+
+class _GriddingReverse(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, volume, fill):
+        ctx.save_for_backward(volume)
+        return _gridding_reverse_forward(volume, fill)
+
+    @staticmethod
+    def backward(ctx, grad):
+        (volume,) = ctx.saved_tensors
+        if backward_is_recorded():
+            return (*differentiable_backward(reference.gridding_reverse, (volume,), (True,), grad), None)
+        return _gridding_reverse_backward(grad, volume), None
+
+
+def gridding_reverse(volume: Tensor, *, fill: float = 0.0) -> Tensor:
+    """One point for each cell of a density: the mean of the cell's corners, weighted by the density (GRNet).
+
+    For the cell of vertices v at x_v with weights w_v: point = sum of w_v x_v / sum of w_v. The density of a single
+    point gives that point back.
+
+    Args:
+        volume: (B, 1, X, Y, Z) float32 or float64 with at least 2 vertices along X, Y and Z.
+        fill: coordinates of rows without a point: cells whose weights sum to less than 1e-6 (negative sums too), and
+            the rows of the last vertices, which have no cell. float("nan") sets them apart from a point at the origin.
+
+    Returns:
+        (B, X Y Z, 3): row (i Y + j) Z + k belongs to the cell whose lower corner is vertex (i, j, k). Differentiable
+        twice; rows without a point have zero gradient. On the CPU the same bits for every number of threads.
+
+    Raises:
+        TypeError, ValueError: an argument of the wrong kind, dtype or shape.
+
+    Example:
+        >>> volume = touchnet.ops.gridding(torch.tensor([[[0.25, -0.5, 0.5]]]), 2)
+        >>> touchnet.ops.gridding_reverse(volume)[0, 0]
+        tensor([ 0.2500, -0.5000,  0.5000])
+    """
+    volume = _checks.check_density(volume)
+    refuse_transforms("gridding_reverse")
+    if torch.is_grad_enabled() and volume.requires_grad:
+        return _GriddingReverse.apply(volume, float(fill))
+    return _gridding_reverse_forward(volume, float(fill))

@@ -29,7 +29,7 @@ def check_tensor(name: str, value: object, axes: tuple[str, ...], *, last: int |
 
 
 def check_dtypes(tensors: dict[str, Tensor], *, reduced: str | None = None) -> None:
-    """Require one dtype and one device; the argument named by `reduced` may be half precision beside float32 on CUDA."""
+    """Require one dtype and one device; on CUDA the argument `reduced` may be half precision beside float32."""
     for name, tensor in tensors.items():
         allowed = FLOATING + REDUCED if name == reduced and tensor.is_cuda else FLOATING
         if tensor.dtype not in allowed:
@@ -39,7 +39,8 @@ def check_dtypes(tensors: dict[str, Tensor], *, reduced: str | None = None) -> N
     for name, tensor in rest:
         if tensor.device != first.device:
             raise ValueError(f"{name}: expected the device of {first_name}, {first.device}, got {tensor.device}")
-        if tensor.dtype != first.dtype and first.dtype not in REDUCED:
+        expected = torch.float32 if first_name == reduced and first.dtype in REDUCED else first.dtype
+        if tensor.dtype != expected:
             raise TypeError(
                 f"{first_name} and {name}: expected one dtype, got "
                 f"{str(first.dtype).removeprefix('torch.')} and {str(tensor.dtype).removeprefix('torch.')}"
@@ -110,6 +111,16 @@ def check_sampling(volume: object, points: object) -> tuple[Tensor, Tensor]:
     volume, points = full_precision(volume, points)
     check_dtypes({"volume": volume, "points": points}, reduced="volume")
     return volume, points
+
+
+def check_density(volume: object) -> Tensor:
+    """Shape and dtype of a volume of one channel; returns it, in float32 where autocast asks for it."""
+    check_volume("volume", volume)
+    if volume.shape[1] != 1:
+        raise ValueError(f"volume: expected shape (B, 1, X, Y, Z), got {tuple(volume.shape)}")
+    (volume,) = full_precision(volume)
+    check_dtypes({"volume": volume})
+    return volume
 
 
 def check_out(out: object, shape: torch.Size, *inputs: Tensor) -> None:
