@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+import trimesh
+
+from touchnet.meshes import check_closed
+
+
+def tetrahedron(offset=0.0):
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float) + offset
+    return vertices, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+
+
+def mesh(vertices, faces):
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+@pytest.mark.parametrize("make", [trimesh.creation.icosphere, trimesh.creation.box, trimesh.creation.torus])
+def test_closed_meshes_pass(make):
+    check_closed(make(1.0, 0.3) if make is trimesh.creation.torus else make())
+
+
+def test_a_small_solid_far_away_passes():
+    vertices, faces = tetrahedron()
+    check_closed(mesh(vertices * 1e-3 + 1e6, faces))
+
+
+def test_no_faces():
+    with pytest.raises(ValueError, match="no faces"):
+        check_closed(mesh(np.zeros((3, 3)), np.zeros((0, 3), dtype=int)))
+
+
+def test_a_missing_face():
+    vertices, faces = tetrahedron()
+    with pytest.raises(ValueError, match="not closed: 3 of 6 edges have 1 to 1 faces"):
+        check_closed(mesh(vertices, faces[:3]))
+
+
+def test_one_face_turned():
+    vertices, faces = tetrahedron()
+    faces[0] = faces[0, ::-1]
+    with pytest.raises(ValueError, match="same direction"):
+        check_closed(mesh(vertices, faces))
+
+
+def test_inside_out():
+    vertices, faces = tetrahedron()
+    with pytest.raises(ValueError, match=r"inside out: its volume is -0\.16"):
+        check_closed(mesh(vertices, faces[:, ::-1]))
+
+
+def test_two_solids_that_share_a_vertex():
+    vertices, faces = tetrahedron()
+    both = np.vstack([vertices, -vertices[1:]])
+    other = np.where(faces == 0, 0, faces + 3)[:, ::-1]
+    with pytest.raises(ValueError, match="touches itself: 8 fans of faces at 7 vertices"):
+        check_closed(mesh(both, np.vstack([faces, other])))
+
+
+def test_two_solids_that_share_an_edge():
+    vertices, faces = tetrahedron()
+    both = np.vstack([vertices, -vertices[2:]])
+    other = np.array([0, 1, 4, 5])[faces]
+    with pytest.raises(ValueError, match="have 4 to 4 faces"):
+        check_closed(mesh(both, np.vstack([faces, other])))
+
+
+def test_a_face_without_area():
+    vertices, faces = tetrahedron()
+    # A vertex in the middle of edge 1-2 splits face (1, 2, 3); the face beside the edge is cut there with no area.
+    vertices = np.vstack([vertices, (vertices[1] + vertices[2]) / 2])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 4, 3], [4, 2, 3], [0, 3, 2], [1, 2, 4]])
+    with pytest.raises(ValueError, match="1 of 6 faces without area"):
+        check_closed(mesh(vertices, faces))
+
+
+def test_stray_and_broken_vertices():
+    vertices, faces = tetrahedron()
+    with pytest.raises(ValueError, match="1 vertices without a face"):
+        check_closed(mesh(np.vstack([vertices, [[9, 9, 9]]]), faces))
+    vertices[0, 0] = np.nan
+    with pytest.raises(ValueError, match="1 vertices that are not finite"):
+        check_closed(mesh(vertices, faces))
