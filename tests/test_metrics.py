@@ -333,12 +333,23 @@ def test_an_empty_mesh_has_the_same_keys_and_a_flag(nothing: trimesh.Trimesh | N
     assert scores["chamfer"] == np.inf and scores["chamfer_l1"] == np.inf and scores["hausdorff_95"] == np.inf
 
 
-def test_an_open_mesh_has_distances_but_no_volume() -> None:
-    half = sphere(0.5)
+def test_an_open_mesh_is_labelled_by_winding_numbers() -> None:
+    truth = SurfaceTruth(sphere(0.5), samples=20_000)
+    half = sphere(0.4)
     half.update_faces(half.triangles_center[:, 2] > 0)
-    scores = SurfaceTruth(sphere(0.5), samples=2000).scores(half)
-    assert np.isnan(scores["iou"]) and scores["watertight"] == 0 and scores["empty"] == 0
+    scores = truth.scores(half)
+    assert scores["watertight"] == 0 and scores["empty"] == 0
     assert 0 < scores["chamfer"] < 0.5 and tuple(scores) == surface_keys()
+    # A hemisphere's solid angle passes 2 pi above its rim's plane only: half of the ball counts as inside.
+    assert scores["iou"] == pytest.approx(0.8**3 / 2, abs=0.02)
+
+
+def test_distances_agree_with_an_independent_library() -> None:
+    pcu = pytest.importorskip("point_cloud_utils")
+    knot = trimesh.creation.torus(0.3, 0.12)
+    samples = np.random.default_rng(0).uniform(-0.5, 0.5, (2000, 3))
+    expected, _, _ = pcu.closest_points_on_mesh(samples, np.array(knot.vertices), np.array(knot.faces, dtype=np.int32))
+    np.testing.assert_allclose(point_to_mesh(samples, knot)[0], expected, atol=1e-12)
 
 
 def test_a_prediction_far_larger_than_the_truth_is_measured_on_wider_lines() -> None:

@@ -7,17 +7,19 @@ report prints it. Distances are in the units of the input; reports use the longe
 from typing import Any, NamedTuple, overload
 
 import numpy as np
-import point_cloud_utils as pcu
 import torch
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from touchnet.data.exploration import ClosestPoints
+from touchnet.data.watertight import winding_number
 from touchnet.raster import cover
 
 DEFINITIONS = {
-    "iou": "volume of the intersection over volume of the union (winding number >= 1), measured along parallel lines",
+    "iou": "volume of the intersection over volume of the union, measured along parallel lines (inside: winding number "
+    ">= 1); an open mesh is labelled at random points instead (winding number > 0.5)",
     "chamfer_l1": "half the sum of the mean distance prediction to truth and the mean distance truth to prediction",
     "chamfer": "mean squared distance prediction to truth plus mean squared distance truth to prediction (eq. 9)",
     "f_score": "2PR/(P+R), P (R): share of the prediction (truth) strictly nearer than d to the other (eq. 10-12)",
@@ -363,8 +365,7 @@ def inside_mesh(points: ArrayLike, mesh: trimesh.Trimesh) -> NDArray[np.bool_]:
     points = _checked_points(points)
     if len(points) == 0 or len(mesh.faces) == 0:
         return np.zeros(len(points), dtype=bool)
-    vertices, faces = _arrays(mesh)
-    return np.asarray(pcu.triangle_soup_fast_winding_number(vertices, faces, points)).reshape(-1) > 0.5
+    return winding_number(mesh.vertices, mesh.faces, points) > 0.5
 
 
 def point_to_mesh(points: ArrayLike, mesh: trimesh.Trimesh) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -380,10 +381,8 @@ def point_to_mesh(points: ArrayLike, mesh: trimesh.Trimesh) -> tuple[NDArray[np.
     points = _checked_points(points)
     if len(mesh.faces) == 0:
         raise ValueError("mesh must have at least one face, got none")
-    if len(points) == 0:
-        return np.zeros(0), np.zeros(0, dtype=np.int64)
-    distance, face, _ = pcu.closest_points_on_mesh(points, *_arrays(mesh))
-    return np.asarray(distance).reshape(-1), np.asarray(face, dtype=np.int64).reshape(-1)
+    _, face, distance = ClosestPoints(mesh.vertices, mesh.faces)(points)
+    return distance, face
 
 
 def sample_surface(
@@ -433,6 +432,7 @@ class SurfaceTruth:
         self.samples = samples
         self.seed = seed
         self.points, face = sample_surface(mesh, samples, generator=np.random.default_rng([seed, 0]))
+        self.closest = ClosestPoints(mesh.vertices, mesh.faces)
         self.face_normals = _face_normals(mesh)
         self.normals = self.face_normals[face]
         self.lines = lines
@@ -443,8 +443,7 @@ class SurfaceTruth:
         """The measures of a predicted mesh; `None` or a mesh without area counts as empty.
 
         Returns:
-            the keys `surface_keys(thresholds)`, the same in every case. `watertight` and `empty` are 0 or 1. `iou` is
-            NaN for an open mesh, which has no volume.
+            the keys `surface_keys(thresholds)`, the same in every case; `watertight` and `empty` are 0 or 1.
 
         Raises:
             ValueError: a vertex is not finite.
@@ -455,13 +454,14 @@ class SurfaceTruth:
             return _empty_scores(thresholds)
         points, face = sample_surface(mesh, self.samples, generator=np.random.default_rng([self.seed, 1]))
         normals = _face_normals(mesh)
-        there, near_true = point_to_mesh(points, self.mesh)
+        _, near_true, there = self.closest(points)
         back, near_predicted = point_to_mesh(self.points, mesh)
         consistency_there = np.abs((normals[face] * self.face_normals[near_true]).sum(axis=1)).mean()
         consistency_back = np.abs((self.normals * normals[near_predicted]).sum(axis=1)).mean()
         closed = is_closed(mesh.faces)
+        iou = self.iou(mesh) if closed else self.iou_of_labels(mesh)
         scores = {
-            "iou": self.iou(mesh) if closed else float("nan"),
+            "iou": iou,
             "chamfer_l1": (there.mean() + back.mean()) / 2,
             "chamfer": np.square(there).mean() + np.square(back).mean(),
             **{f"f_score_{d:g}": _harmonic_mean((there < d).mean(), (back < d).mean()) for d in thresholds},
@@ -478,6 +478,13 @@ class SurfaceTruth:
         if extent > 3 * true_extent:
             return volumetric_iou(mesh, self.mesh, lines=self.lines, seed=self.seed)
         return _iou_along_lines(self.lattice.crossings(mesh), self.crossings)
+
+    def iou_of_labels(self, mesh: trimesh.Trimesh) -> float:
+        """For an open mesh: IoU of the winding numbers' labels at random points of the box of both."""
+        corners = np.concatenate([_box(mesh), _box(self.mesh)])
+        generator = np.random.default_rng([self.seed, 2])
+        points = generator.uniform(corners.min(axis=0), corners.max(axis=0), (self.samples, 3))
+        return float(volumetric_iou(inside_mesh(points, mesh), inside_mesh(points, self.mesh)))
 
 
 def surface_keys(thresholds: tuple[float, ...] = THRESHOLDS) -> tuple[str, ...]:
@@ -532,13 +539,6 @@ class PaperTruth:
     def _thinned(self, inside: NDArray[np.bool_], *, start: int) -> Tensor:
         points = torch.from_numpy(self.samples[inside])
         return points[farthest_point_sample(points, min(self.count, len(points)), start=start)]
-
-
-def _arrays(mesh: trimesh.Trimesh) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    return (
-        np.ascontiguousarray(mesh.vertices, dtype=np.float64),
-        np.ascontiguousarray(mesh.faces, dtype=np.int32),
-    )
 
 
 def _box(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
