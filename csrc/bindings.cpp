@@ -5,6 +5,7 @@
 #include "closest_point.h"
 #include "gp.h"
 #include "marching_cubes.h"
+#include "octree.h"
 #include "volume_bindings.h"
 
 namespace py = pybind11;
@@ -155,4 +156,46 @@ PYBIND11_MODULE(_C, m) {
   // Extraction.
   define_dense_cubes<float>(m, "DenseCubesFloat");
   define_dense_cubes<double>(m, "DenseCubesDouble");
+  using touchnet::OctreeCubes;
+  py::class_<OctreeCubes>(m, "OctreeCubes")
+      .def(py::init([](Extents points, Corner lower, Corner spacing, double level, std::int64_t stride, int threads) {
+        return new OctreeCubes(lattice(points, lower, spacing), level, stride, threads);
+      }))
+      .def("add_seeds", [](OctreeCubes& cubes, Address points,
+                           std::int64_t n) { cubes.add_seeds(at<const double>(points), n); })
+      .def("pending", &OctreeCubes::pending)
+      .def(
+          "write_points",
+          [](const OctreeCubes& cubes, std::int64_t begin, std::int64_t n, Address points, bool wide) {
+            if (wide) {
+              cubes.write_points(begin, n, at<double>(points));
+            } else {
+              cubes.write_points(begin, n, at<float>(points));
+            }
+          },
+          Unlocked())
+      .def(
+          "read_values",
+          [](OctreeCubes& cubes, std::int64_t begin, std::int64_t n, Address values, bool wide) {
+            if (wide) {
+              cubes.read_values(begin, n, at<const double>(values));
+            } else {
+              cubes.read_values(begin, n, at<const float>(values));
+            }
+          },
+          Unlocked())
+      .def("advance", &OctreeCubes::advance, Unlocked())
+      .def(
+          "count",
+          [](OctreeCubes& cubes) {
+            const auto counts = cubes.count();
+            return std::make_tuple(counts.vertices, counts.faces, counts.minimum, counts.maximum);
+          },
+          Unlocked())
+      .def(
+          "emit",
+          [](const OctreeCubes& cubes, Address vertices, Address faces, Address low, Address axis) {
+            cubes.emit(at<double>(vertices), at<std::int64_t>(faces), at<std::int64_t>(low), at<std::uint8_t>(axis));
+          },
+          Unlocked());
 }
