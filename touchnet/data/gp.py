@@ -8,6 +8,8 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.optimize import minimize
 
 from touchnet.ops._ext import _C
 
@@ -30,14 +32,14 @@ class GaussianProcess:
     Args:
         kernel: "rbf", "matern32", "matern52" or "thin_plate" (2r³ - 3Rr² + R³, divided by R³).
         length_scale: length scale of the kernel in the units of the points; for the thin plate its R, which must be at
-            least the largest distance between any two points ever used (an error names the distance otherwise:
-            beyond R the variance can go negative).
+            least the diagonal of the box of all contacts and query points (ValueError otherwise: beyond R the
+            variance can go negative).
         noise: standard deviation σ_n of an observation, ≥ 0.
         mean: prior mean.
 
-    All arrays are float64. Contacts that repeat or crowd until G is numerically singular are absorbed: their own
-    variance is raised by the smallest jitter out of 1e-12, 1e-11, ... that keeps the factor positive; `jitter` is the
-    largest used and the first use is logged.
+    All arrays are float64. Where contacts repeat or crowd until G is singular in double precision, the smallest jitter
+    out of 1e-12, 1e-11, ... that cures it is added to its diagonal: logged, and reported in `jitter` (0: none). That is
+    the one event that factorises anew; with noise ≥ 1e-5 it does not happen.
     """
 
     def __init__(
@@ -76,12 +78,28 @@ class GaussianProcess:
         if n > len(self._points):
             self._allocate(n)
 
-    def add(self, points: ArrayLike, values: ArrayLike = 0.0) -> None:
-        """Adds contacts (m, 3) or (3,) with their values, one number or (m,): O(n²) each, in order."""
+    def add(
+        self, points: ArrayLike, values: ArrayLike = 0.0, *, normals: ArrayLike | None = None, offset: float = 0.0
+    ) -> None:
+        """Adds contacts (m, 3) or (3,) with their values, one number or (m,): O(n²) each, in order.
+
+        With outward unit `normals` (as points) and an `offset` > 0, each contact is followed by the value 1 at that
+        distance outside it and -1 inside, which gives the mean a sign and a slope across the surface.
+        """
         points = _checked(points, "points")
         values = np.broadcast_to(np.asarray(values, dtype=np.float64), len(points))
         if not np.isfinite(values).all():
             raise ValueError("values should be finite")
+        if (normals is None) != (offset == 0):
+            raise ValueError("normals and offset go together: give both or neither")
+        if normals is not None:
+            normals = _checked(normals, "normals")
+            if normals.shape != points.shape:
+                raise ValueError(f"normals should have shape {points.shape} as points, got {normals.shape}")
+            if not (np.isfinite(offset) and offset > 0):
+                raise ValueError(f"offset should be a positive distance, got {offset}")
+            points = np.stack([points, points + offset * normals, points - offset * normals], 1).reshape(-1, 3)
+            values = np.stack([values, np.ones_like(values), -np.ones_like(values)], 1).reshape(-1)
         self._check_extent(points)
         if self._n + len(points) > len(self._points):
             self._allocate(max(2 * len(self._points), self._n + len(points)))
@@ -145,6 +163,51 @@ class GaussianProcess:
         whitened = self._whitened[: self._n]
         return float(-0.5 * whitened @ whitened - np.log(pivots).sum() - 0.5 * self._n * np.log(2 * np.pi))
 
+    def fit(
+        self, length_scale: tuple[float, float] | None = None, noise: tuple[float, float] | None = None
+    ) -> "GaussianProcess":
+        """A process with the same contacts whose length scale and noise maximise the log marginal likelihood.
+
+        Both are searched in logarithm between the bounds given (default: a tenth to ten times the present value; a
+        present noise of 0 counts as 1e-6), from the present values, by L-BFGS with the analytic gradient: one dense
+        factorisation, O(n³), a try. Contacts of the value 0 alone say little about the length scale; offset points
+        (see `add`) do. The thin plate's R is not a length scale: ValueError.
+        """
+        if self.kernel == "thin_plate":
+            raise ValueError("kernel should have a length scale to fit, got 'thin_plate'")
+        if self._n < 2:
+            raise ValueError(f"fit needs at least 2 contacts, got {self._n}")
+        present = np.array([self.length_scale, max(self.noise, 1e-6)])
+        bounds = []
+        for name, given, value in zip(("length_scale", "noise"), (length_scale, noise), present, strict=True):
+            low, high = (value / 10, value * 10) if given is None else given
+            if not 0 < low <= high < np.inf:
+                raise ValueError(f"{name} should be bounds 0 < low ≤ high, got {given}")
+            bounds.append((np.log(low), np.log(high)))
+        points = self._points[: self._n]
+        square = ((points[:, None] - points) ** 2).sum(-1)
+        residual = self._values[: self._n] - self.prior_mean
+
+        def loss(log: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+            scale, sigma = np.exp(log)
+            value, derivative = _profile(self.kernel, square, scale)
+            covariance = value + (sigma**2 + 1e-12) * np.eye(self._n)
+            try:
+                factor = cho_factor(covariance, lower=True)
+            except LinAlgError:
+                return 1e300, np.zeros(2)
+            weights = cho_solve(factor, residual)
+            inverse = cho_solve(factor, np.eye(self._n))
+            pull = inverse - np.outer(weights, weights)
+            gradient = 0.5 * np.array([(pull * derivative).sum(), 2 * sigma**2 * np.trace(pull)])
+            return 0.5 * residual @ weights + np.log(np.diag(factor[0])).sum(), gradient
+
+        start = np.log(present).clip(*np.transpose(bounds))
+        best = np.exp(minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds).x)
+        fitted = GaussianProcess(self.kernel, length_scale=best[0], noise=best[1], mean=self.prior_mean)
+        fitted.add(points, self._values[: self._n])
+        return fitted
+
     # -- the growing factor --------------------------------------------------------------------------------------
 
     def _allocate(self, capacity: int) -> None:
@@ -155,63 +218,64 @@ class GaussianProcess:
             points[:n], values[:n], whitened[:n] = self._points[:n], self._values[:n], self._whitened[:n]
             factor[: n * (n + 1) // 2] = self._factor[: n * (n + 1) // 2]
         self._points, self._values, self._whitened, self._factor = points, values, whitened, factor
-        self._work, self._gradient = np.empty(capacity), np.empty(3)
-        # numpy takes as long to say an address as a short row takes to solve
-        self._address = {
-            name: getattr(self, f"_{name}").ctypes.data for name in ("points", "factor", "work", "gradient")
-        }
+        self._work = np.empty(capacity)
 
     def _append(self, point: NDArray[np.float64], value: float) -> float:
-        n, address = self._n, self._address
-        offset = n * (n + 1) // 2
-        self._points[n] = point
-        variance = _C.gp_variance(
-            _KERNELS[self.kernel],
-            self.length_scale,
-            address["points"],
-            address["factor"],
-            n,
-            address["points"] + 24 * n,
-            address["factor"] + 8 * offset,
-        )
-        square = variance + self.noise**2
-        jitter = 0.0
-        # In exact arithmetic the square is ≥ σ_n²; rounding takes up to about n units in the last place of k(x, x).
-        while square + jitter < max(0.5 * self.noise**2, 0.5 * jitter, 1e-13):
-            jitter = 10 * jitter if jitter else 1e-12
-        if jitter > self.jitter:
-            _log.info("contact %d: covariance is numerically singular, jitter %.0e added", n, jitter)
-            self.jitter = jitter
-        pivot = (square + jitter) ** 0.5
-        row = self._factor[offset : offset + n]
-        self._factor[offset + n] = pivot
-        self._values[n] = value
-        self._whitened[n] = (value - self.prior_mean - row @ self._whitened[:n]) / pivot
-        self._n = n + 1
+        self._points[self._n], self._values[self._n] = point, value
+        while (variance := self._try_row(self._n)) is None:
+            self._raise_jitter()
+        self._n += 1
         self._weights = None
         return max(variance, 0.0)
+
+    def _raise_jitter(self) -> None:
+        while True:
+            self.jitter = 10 * self.jitter if self.jitter else 1e-12
+            _log.info("contact %d: singular in double precision, jitter raised to %.0e", self._n, self.jitter)
+            if all(self._try_row(row) is not None for row in range(self._n)):
+                return
+
+    def _try_row(self, n: int) -> float | None:
+        """Row n of the factor from rows 0..n; the variance at contact n before it, None where the row has no pivot."""
+        start = n * (n + 1) // 2
+        factor, points = self._factor.ctypes.data, self._points.ctypes.data
+        variance = _C.gp_variance(
+            _KERNELS[self.kernel], self.length_scale, points, factor, n, points + 24 * n, factor + 8 * start
+        )
+        nugget = self.noise**2 + self.jitter
+        square = variance + nugget
+        # In exact arithmetic the square is at least the nugget, and rounding stays well below 5e-13.
+        if square < max(0.5 * nugget, 5e-13):
+            return None
+        pivot = square**0.5
+        row = self._factor[start : start + n]
+        self._factor[start + n] = pivot
+        self._whitened[n] = (self._values[n] - self.prior_mean - row @ self._whitened[:n]) / pivot
+        return variance
 
     def _append_with_gradient(self, point: NDArray[np.float64], value: float) -> tuple[float, NDArray[np.float64]]:
         n = self._n
         variance = self._append(point, value)
-        address = self._address
+        gradient = np.empty(3)
+        points, factor = self._points.ctypes.data, self._factor.ctypes.data
         _C.gp_variance_gradient(
             _KERNELS[self.kernel],
             self.length_scale,
-            address["points"],
-            address["factor"],
+            points,
+            factor,
             n,
-            address["points"] + 24 * n,
-            address["factor"] + 4 * n * (n + 1),
-            address["work"],
-            address["gradient"],
+            points + 24 * n,
+            factor + 4 * n * (n + 1),
+            self._work.ctypes.data,
+            gradient.ctypes.data,
         )
-        return variance, self._gradient.copy()
+        return variance, gradient
 
     def _mean_weights(self) -> NDArray[np.float64]:
         if self._weights is None:
-            self._weights = self._whitened[: self._n].copy()
-            _C.gp_backward(self._address["factor"], self._n, self._weights.ctypes.data)
+            weights = self._whitened[: self._n].copy()
+            _C.gp_backward(self._factor.ctypes.data, self._n, weights.ctypes.data)
+            self._weights = weights
         return self._weights
 
     # -- queries -------------------------------------------------------------------------------------------------
@@ -223,7 +287,7 @@ class GaussianProcess:
             self.length_scale,
             x.ctypes.data,
             len(x),
-            self._address["points"],
+            self._points.ctypes.data,
             self._n,
             out.ctypes.data,
         )
@@ -239,8 +303,8 @@ class GaussianProcess:
         _C.gp_extend(
             _KERNELS[self.kernel],
             self.length_scale,
-            self._address["points"],
-            self._address["factor"],
+            self._points.ctypes.data,
+            self._factor.ctypes.data,
             0,
             self._n,
             padded.ctypes.data,
@@ -272,16 +336,24 @@ class GaussianProcess:
         if self.kernel != "thin_plate" or not len(x):
             return
         both = np.concatenate([x, self._points[: self._n]])
-        extent = float(np.linalg.norm(both.max(0) - both.min(0)))
-        if extent > self.length_scale and np.ptp(both, axis=0).max() > 0:
-            # the box's diagonal bounds every distance; only where it fails are the distances worth looking at
-            centre = self._points[0] if self._n else x[0]
-            farthest = float(np.linalg.norm(both - centre, axis=1).max())
-            if farthest > self.length_scale:
-                raise ValueError(
-                    f"length_scale (the thin plate's R) should be at least the distance of any two points, "
-                    f"got {self.length_scale} for points {farthest:.6g} apart"
-                )
+        diagonal = float(np.linalg.norm(both.max(0) - both.min(0)))
+        if diagonal > self.length_scale * (1 + 1e-9):
+            raise ValueError(
+                "length_scale (R of the thin plate) should be at least the diagonal of the box of all points, "
+                f"got {self.length_scale:g} for a diagonal of {diagonal:g}"
+            )
+
+
+def _profile(kernel: KernelName, square: NDArray[np.float64], scale: float) -> tuple[NDArray, NDArray]:
+    """The kernel at squared distances, and its derivative by the logarithm of the length scale."""
+    if kernel == "rbf":
+        value = np.exp(-0.5 * square / scale**2)
+        return value, value * square / scale**2
+    t = np.sqrt((3 if kernel == "matern32" else 5) * square) / scale
+    decay = np.exp(-t)
+    if kernel == "matern32":
+        return (1 + t) * decay, t**2 * decay
+    return (1 + t + t**2 / 3) * decay, t**2 * (1 + t) / 3 * decay
 
 
 def _checked(points: ArrayLike, name: str) -> NDArray[np.float64]:
