@@ -31,6 +31,8 @@ class ModelConfig:
 MODELS: dict[str, ModelConfig] = {
     "paper": ModelConfig(network="paper", channels=(16, 32, 64, 128, 256), scales=1, use_normals=False),
     "base": ModelConfig(),
+    # For tests and for trying out a data set: a step takes a hundredth of the time.
+    "tiny": ModelConfig(grid=16, channels=(8, 8, 16, 16, 16)),
 }
 
 

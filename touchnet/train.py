@@ -78,8 +78,8 @@ class TrainConfig:
     """Folder for the checkpoint, the weights, the log (TensorBoard) and the picture."""
     recipe: Literal["default", "paper"] = "default"
     """Defaults of the options below that are not given; `paper` is the ACCV 2022 paper's training."""
-    model: Literal["base", "paper"] | None = None
-    """Size of the network (recipe default: base; paper: paper)."""
+    model: Literal["base", "paper", "tiny"] | None = None
+    """Size of the network (recipe default: base; paper: paper); tiny is for trying things out."""
     sampling: Literal["trilinear", "addition"] | None = None
     """How features are read at a query: interpolated (FI) or added (FA). Default: trilinear."""
     steps: int | None = None

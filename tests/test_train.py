@@ -1,0 +1,261 @@
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from accelerate.state import AcceleratorState
+
+from touchnet.config import PAPER_SAMPLES, SampleConfig
+from touchnet.data.dataset import Index, ShapeRecord, write_index, write_shape
+from touchnet.train import RECIPES, StepBatches, TrainConfig, learning_rate, main, resolve_recipe, train
+from touchnet.weights import load_model
+
+SMALL_SAMPLES = SampleConfig(queries=256, max_contacts=256)
+
+
+@pytest.fixture(autouse=True)
+def fresh_accelerator():
+    yield
+    AcceleratorState._reset_state(reset_partial_state=True)
+
+
+def ellipsoid(path, axes, *, trajectories=2, contacts=256, seed=0):
+    """A shape file of an ellipsoid whose longest axis is 1."""
+    rng = np.random.default_rng(seed)
+    axes = np.asarray(axes) / max(axes) / 2
+    ball = trimesh.creation.icosphere(subdivisions=2)
+
+    def surface(*shape):
+        directions = rng.normal(size=(*shape, 3))
+        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        normals = directions / axes
+        return directions * axes, normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+    def labelled(points):
+        points = points.astype(np.float16)
+        return points, np.packbits(((points.astype(float) / axes) ** 2).sum(1) <= 1)
+
+    touches, touch_normals = surface(trajectories, contacts)
+    on_surface, surface_normals = surface(1024)
+    near, near_inside = labelled(surface(8192)[0] + rng.normal(size=(8192, 3)) * np.repeat([0.01, 0.05], 4096)[:, None])
+    box, box_inside = labelled((rng.random((4096, 3)) - 0.5) * axes * 2)
+    tensors = {
+        "vertices": (ball.vertices * axes).astype(np.float32), "faces": ball.faces.astype(np.int32),
+        "touches": touches.astype(np.float32), "touch_normals": touch_normals.astype(np.float16),
+        "strokes": np.zeros((trajectories, contacts), np.int16), "variance": np.ones((trajectories, contacts), np.float32),
+        "near": near, "near_inside": near_inside, "box": box, "box_inside": box_inside,
+        "surface": on_surface.astype(np.float32), "surface_normals": surface_normals.astype(np.float16),
+    }  # fmt: skip
+    metadata = {"id": path.stem, "category": "egg", "centre": "[0, 0, 0]", "scale": "1", "closed_by": "none"}
+    return write_shape(path, tensors, metadata)
+
+
+@pytest.fixture(scope="session")
+def eggs(tmp_path_factory):
+    """Five ellipsoids to train on, one to validate with."""
+    directory = tmp_path_factory.mktemp("eggs")
+    records = []
+    for i in range(6):
+        file = f"shapes/egg/{i}.safetensors"
+        checksum = ellipsoid(directory / file, [1, 0.5 + 0.08 * i, 0.9 - 0.1 * i], seed=i)
+        split, licence = ("val" if i == 5 else "train"), ("GPL-2" if i == 4 else "CC0-1.0")
+        records.append(ShapeRecord(f"egg/{i}", "egg", split, "made", licence, file, checksum))
+    write_index(directory, Index(0, {"sigmas": [0.01, 0.05]}, records, []))
+    return directory
+
+
+def options(data, output, **changes):
+    defaults = {
+        "data": data, "output": output, "model": "tiny", "samples": SMALL_SAMPLES, "batch_size": 4, "steps": 6,
+        "workers": 0, "device": "cpu", "validate_every": 1000, "checkpoint_every": 1000,
+    }  # fmt: skip
+    return TrainConfig(**{**defaults, **changes})
+
+
+def weights_of(output):
+    return load_model(output / "weights.safetensors").state_dict()
+
+
+def same(a, b):
+    return all(torch.equal(a[name], b[name]) for name in a)
+
+
+def test_training_learns_and_leaves_what_it_promises(eggs, tmp_path):
+    figures = train(options(eggs, tmp_path / "run", steps=150, learning_rate=5e-3, validate_every=150))
+    assert set(figures) == {f"iou/{n}{kind}" for n in (128, 512, 2048) for kind in ("", "+normals")}
+    assert figures["iou/512+normals"] > 0.7
+    names = {path.name for path in (tmp_path / "run").iterdir()}
+    assert {"weights.safetensors", "checkpoint.pt", "config.json", "metrics.jsonl", "reconstructions.png"} <= names
+    assert any(name.startswith("events.out.tfevents") for name in names)
+    rows = [json.loads(line) for line in (tmp_path / "run/metrics.jsonl").read_text().splitlines()]
+    losses = [row["loss"] for row in rows if "loss" in row]
+    assert losses[-1] < 0.6 * losses[0]
+    assert rows[-1]["iou/512+normals"] == figures["iou/512+normals"]
+    torch.load(tmp_path / "run/checkpoint.pt")  # weights_only=True is torch's default
+
+
+@pytest.mark.parametrize("recipe", ["default", "paper"])
+def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(eggs, tmp_path, recipe):
+    common = {"recipe": recipe, "schedule": "constant", "steps": None}
+    train(options(eggs, tmp_path / "straight", epochs=2, **common))
+    train(options(eggs, tmp_path / "halves", epochs=1, **common))
+    train(options(eggs, tmp_path / "halves", epochs=2, resume=True, **common))
+    assert same(weights_of(tmp_path / "straight"), weights_of(tmp_path / "halves"))
+    steps = [
+        [json.loads(line)["epoch"] for line in (tmp_path / run / "metrics.jsonl").read_text().splitlines() if "epoch" in line]
+        for run in ("straight", "halves")
+    ]
+    assert steps[0][-1] == steps[1][-1] == 2
+
+
+def test_a_stop_in_mid_epoch_resumes_exactly(eggs, tmp_path, monkeypatch):
+    straight = options(eggs, tmp_path / "straight", steps=7)
+    train(straight)
+    import touchnet.train as module
+
+    real = module.Average.update
+
+    def interrupt(self, network, step):
+        real(self, network, step)
+        if step == 3:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(module.Average, "update", interrupt)
+    stopped = options(eggs, tmp_path / "stopped", steps=7)
+    with pytest.raises(KeyboardInterrupt):
+        train(stopped)
+    monkeypatch.undo()
+    assert torch.load(tmp_path / "stopped/checkpoint.pt")["step"] == 4
+    train(dataclasses.replace(stopped, resume=True))
+    assert same(weights_of(tmp_path / "straight"), weights_of(tmp_path / "stopped"))
+
+
+@pytest.mark.slow
+def test_a_killed_run_leaves_whole_files_and_resumes_to_the_same_weights(eggs, tmp_path):
+    arguments = [
+        sys.executable, "-m", "touchnet.train", "--data", str(eggs), "--model", "tiny", "--steps", "60",
+        "--samples.queries", "256", "--samples.max-contacts", "256", "--checkpoint-every", "5", "--workers", "1",
+        "--device", "cpu",
+    ]  # fmt: skip
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    subprocess.run([*arguments, "-o", str(tmp_path / "straight")], check=True, env=environment, capture_output=True)
+    resume: list[str] = []
+    for _ in range(3):
+        run = subprocess.Popen(
+            [*arguments, *resume, "-o", str(tmp_path / "killed")], env=environment, stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
+        checkpoint = tmp_path / "killed/checkpoint.pt"
+        before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+        deadline = time.monotonic() + 120
+        while run.poll() is None and time.monotonic() < deadline:
+            if checkpoint.exists() and checkpoint.stat().st_mtime_ns > before:
+                break
+            time.sleep(0.01)
+        os.killpg(run.pid, signal.SIGKILL)
+        run.wait()
+        load_model(tmp_path / "killed/weights.safetensors") if resume else None
+        torch.load(checkpoint)
+        resume = ["--resume"]
+    subprocess.run([*arguments, "--resume", "-o", str(tmp_path / "killed")], check=True, env=environment, capture_output=True)
+    assert same(weights_of(tmp_path / "straight"), weights_of(tmp_path / "killed"))
+
+
+@pytest.mark.slow
+def test_two_processes_train_as_one(eggs, tmp_path):
+    arguments = [
+        "-m", "touchnet.train", "--data", str(eggs), "--model", "tiny", "--steps", "8", "--samples.queries", "256",
+        "--samples.max-contacts", "256", "--device", "cpu", "--workers", "0",
+    ]  # fmt: skip
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    launch = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--master-port", "29533"]
+    for prefix, name in [([sys.executable], "one"), (launch, "two")]:
+        done = subprocess.run(
+            [*prefix, *arguments, "-o", str(tmp_path / name)], env=environment, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+    one, two = weights_of(tmp_path / "one"), weights_of(tmp_path / "two")
+    assert max((one[name] - two[name]).abs().max().item() for name in one) < 1e-4
+
+
+def test_batches_cover_each_epoch_and_do_not_depend_on_where_they_start_or_on_processes():
+    def keys(start, rank=0, world=1):
+        return list(StepBatches(10, 4, seed=1, start=start, steps=9, rank=rank, world=world))
+
+    whole = keys(0)
+    assert [len(batch) for batch in whole] == [4] * 9
+    assert {item for _, item in sum(whole[:3], [])} == set(range(10))
+    assert {epoch for epoch, _ in sum(whole[:3], [])} == {0} and whole[3][0][0] == 1
+    assert keys(5) == whole[5:]
+    halves = zip(keys(0, 0, 2), keys(0, 1, 2), strict=True)
+    assert [sorted(a + b) for a, b in halves] == [sorted(batch) for batch in whole]
+    with pytest.raises(ValueError, match="batch_size should be a multiple of the 3 processes, got 4"):
+        StepBatches(10, 4, seed=1, start=0, steps=9, rank=0, world=3)
+
+
+def test_learning_rates():
+    paper = [learning_rate(step, 400, 2, 1e-4, "multistep") for step in (0, 99, 100, 199, 200)]
+    assert paper == [1e-4, 1e-4, 5e-5, 5e-5, 2.5e-5]
+    cosine = [learning_rate(step, 1000, 2, 1.0, "cosine") for step in (0, 99, 100, 550, 999)]
+    assert cosine == pytest.approx([0.01, 1.0, 1.0, 0.505, 0.01], abs=1e-4)
+
+
+def test_recipe_paper_is_the_papers():
+    recipe = resolve_recipe(TrainConfig(recipe="paper"))
+    assert (recipe.model.network, recipe.loss, recipe.learning_rate, recipe.batch_size) == ("paper", "squared", 1e-4, 4)
+    assert (recipe.epochs, recipe.steps, recipe.schedule, recipe.samples) == (200, None, "multistep", PAPER_SAMPLES)
+    assert recipe.samples.queries == 4000
+    assert resolve_recipe(TrainConfig()) == RECIPES["default"]
+    mixed = resolve_recipe(TrainConfig(recipe="paper", steps=7, sampling="addition"))
+    assert (mixed.steps, mixed.epochs, mixed.model.sampling, mixed.model.network) == (7, None, "addition", "paper")
+
+
+def test_a_bad_value_stops_the_run_and_names_the_shape(eggs, tmp_path, monkeypatch):
+    import touchnet.train as module
+
+    monkeypatch.setattr(module, "occupancy_loss", lambda logits, inside, kind: logits.mean() * torch.nan)
+    with pytest.raises(ValueError, match=r"the loss is nan at step 0; the batch holds egg/\d.*Nothing was updated"):
+        train(options(eggs, tmp_path / "run"))
+
+
+def test_an_untrained_network_without_a_surface_is_reported_not_fatal(eggs, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("touchnet.models.TouchNet.decode", lambda self, features, queries: torch.zeros(queries.shape[:2]))
+    train(options(eggs, tmp_path / "run", steps=1))
+    assert "no reconstruction of egg/5: " in capsys.readouterr().err
+    assert (tmp_path / "run/reconstructions.png").exists()
+
+
+def test_licences_can_be_left_out(eggs, tmp_path, capsys):
+    train(options(eggs, tmp_path / "run", steps=1, exclude_licence=("GPL",)))
+    assert "4 shapes" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--data", "nowhere"], "nowhere"),
+        (["--steps", "0"], "steps should be positive, got 0"),
+        (["--steps", "1", "--epochs", "1"], "steps and epochs were both given"),
+        (["--resume"], "resume: there is no checkpoint"),
+        (["--recipe", "best"], "recipe"),
+    ],
+)
+def test_bad_options_are_one_line_and_status_2(arguments, words, tmp_path, capsys):
+    assert main([*arguments, "-o", str(tmp_path / "run"), "--device", "cpu", "--cache", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert words in error and len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_finished_run_is_not_overwritten(eggs, tmp_path, capsys):
+    train(options(eggs, tmp_path / "run", steps=1))
+    AcceleratorState._reset_state(reset_partial_state=True)
+    assert main(["--data", str(eggs), "-o", str(tmp_path / "run"), "--model", "tiny"]) == 2
+    assert "holds a run; --resume continues it, --force starts anew" in capsys.readouterr().err
