@@ -35,7 +35,7 @@ LARGEST = 1e100
 # Compressed files may expand to ten times their size, small ones to this much.
 EXPANDED = 1 << 26
 MAX_HEADER = 1 << 20
-CHUNK_LINES = 1 << 14
+CHUNK_LINES = 1 << 12
 
 COMMENTS = ("#", "//", "%", "!")
 # What programs write where they have no number.
@@ -193,7 +193,7 @@ def _whole_strokes(strokes: np.ndarray, name: str, strict: bool) -> np.ndarray |
     return None
 
 
-def split_strokes(points: np.ndarray, *, factor: float = 4.0) -> np.ndarray:
+def split_strokes(points: np.ndarray, *, factor: float = 3.0) -> np.ndarray:
     """Numbers the strokes of ordered contacts by their jumps: a step longer than `factor` times the median step.
 
     Args:
@@ -370,8 +370,8 @@ def _lines(data: bytes, encoding: str = "utf-8") -> Iterator[tuple[int, str]]:
 
 
 def _capacity(data: bytes, columns: int) -> int:
-    # A row of k columns takes at least k bytes: k - 1 separators between empty fields and a line end.
-    return len(data) // columns + 2
+    # No more rows than line ends; and a row of k columns has k - 1 separators and a line end.
+    return min(data.count(b"\n") + data.count(b"\r"), len(data) // columns) + 2
 
 
 # --- text ---------------------------------------------------------------------------------------------------------
@@ -447,7 +447,7 @@ def _parse_text(data: bytes, name: str, suffix: str, strict: bool) -> _Raw:
         known = " ".join(POINT_SUFFIXES)
         raise ValueError(f"{name}: expected one of {known}, found a binary file with the suffix {suffix or 'none'!r}")
     lines = _lines(data, encoding)
-    announced, header, comment, dialect = None, None, "", None
+    announced, headers, comment, dialect = None, [], "", None
     first, line = 0, ""
     try:
         for first, line in lines:
@@ -457,24 +457,26 @@ def _parse_text(data: bytes, name: str, suffix: str, strict: bool) -> _Raw:
             if bare.startswith(COMMENTS):
                 comment = bare.lstrip("#/%! \t")
                 continue
-            dialect = _dialect(line, header or "")
+            bare = re.split("#|//|%|!", bare)[0].strip()
+            dialect = _dialect(bare, headers[-1] if headers else "")
             if dialect is not None:
                 break
-            if header is None and announced is None and re.fullmatch(r"\d{1,15}", bare):
+            if not headers and announced is None and re.fullmatch(r"\d{1,15}", bare):
                 announced = int(bare)
-            elif header is None and not any(_is_number(word) for word in re.split(r"[\s,;|]+", bare) if word):
-                header = line
+            elif not any(_is_number(word) for word in re.split(r"[\s,;|]+", bare) if word):
+                headers.append(line)
             else:
                 raise ValueError(f"{name}, line {first}: expected at least 3 numbers, found {_shown(line)}")
     except UnicodeDecodeError as error:
         raise ValueError(f"{name}: not the UTF-16 text that its first bytes announce ({error.reason})") from None
     if dialect is None:
-        found = "" if header is None else f": only the header {_shown(header)}"
+        found = f": only words, such as {_shown(headers[0])}" if headers else ""
         raise ValueError(f"{name}: no points in this file{found}")
 
-    width = len(dialect.split(line))
-    names = _header_names(header if header is not None else comment, dialect, width)
-    roles = _roles(names)
+    width = len(dialect.split(bare))
+    # A title may stand above the names of the columns, and their units below.
+    header = next((text for text in headers if _names_xyz(text, dialect, width)), headers[-1] if headers else None)
+    roles = _roles(_header_names(comment if header is None else header, dialect, width))
     named = all(role in roles for role in "xyz")
     if not named:
         if header is not None:
@@ -498,7 +500,7 @@ def _parse_text(data: bytes, name: str, suffix: str, strict: bool) -> _Raw:
     if announced is not None and announced != len(table.values) + table.incomplete:
         raise ValueError(f"{name}: announces {announced} points in line 1, found {len(table.values)}")
     if not named and dialect.delimiter == "," and width >= 6:
-        _refuse_commas_twice(data, name, first, line)
+        _refuse_commas_twice(data, name)
     values = table.values
     if not named:
         values, wanted = _guess_columns(values, name, strict)
@@ -520,13 +522,17 @@ def _header_names(text: str, dialect: _Dialect, width: int) -> list[str]:
     return []
 
 
-def _refuse_commas_twice(data: bytes, name: str, number: int, line: str) -> None:
+def _names_xyz(text: str, dialect: _Dialect, width: int) -> bool:
+    roles = _roles(_header_names(text, dialect, width))
+    return all(role in roles for role in "xyz")
+
+
+def _refuse_commas_twice(data: bytes, name: str) -> None:
     """Refuses 0,145,0,345,0,139: three numbers with commas for decimal points, separated by commas."""
-    if b"." not in data and any(re.fullmatch(r"[+-]?0|0\d+", field.strip()) for field in line.split(",")):
-        if re.search(r"(?:^|,)\s*0\d", line):
-            raise ValueError(
-                f"{name}, line {number}: commas both separate the columns and stand for decimal points: {_shown(line)}"
-            )
+    found = None if b"." in data else re.search(rb"(?:^|[,\r\n])[ \t]*(?:[+-]?0\d|-0,)", data)
+    if found:
+        number = data.count(b"\n", 0, found.end()) + 1
+        raise ValueError(f"{name}, line {number}: commas seem both to separate columns and to stand for decimal points")
 
 
 def _guess_columns(values: np.ndarray, name: str, strict: bool) -> tuple[np.ndarray, list[str]]:
