@@ -154,6 +154,11 @@ PYBIND11_MODULE(_C, m) {
       Unlocked());
 
   // Extraction.
+  m.def("cube_table", [] {
+    std::vector<std::vector<int>> rows;
+    for (const auto& row : touchnet::kCubeTriangles) rows.emplace_back(row + 1, row + 1 + 3 * row[0]);
+    return rows;
+  });
   define_dense_cubes<float>(m, "DenseCubesFloat");
   define_dense_cubes<double>(m, "DenseCubesDouble");
   using touchnet::OctreeCubes;
