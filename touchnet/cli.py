@@ -81,11 +81,11 @@ def command(name: str) -> Callable[[Callable[[Sequence[str] | None], int | None]
     return decorate
 
 
-def parse(config: Callable[..., T], argv: Sequence[str] | None, *, prog: str, **options: Any) -> T:
+def parse(options_type: Callable[..., T], argv: Sequence[str] | None, *, prog: str, **options: Any) -> T:
     """`tyro.cli` whose complaints are one line on stderr, followed by exit status 2.
 
     Args:
-        config: the dataclass (or annotated callable) that describes the options.
+        options_type: the dataclass (or annotated callable) that describes the options.
         argv: the arguments, `None` for those of the process.
         prog: the name shown in usage and messages.
         options: passed on to `tyro.cli`.
@@ -96,7 +96,7 @@ def parse(config: Callable[..., T], argv: Sequence[str] | None, *, prog: str, **
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
-            return tyro.cli(config, args=argv, prog=prog, **options)
+            return tyro.cli(options_type, args=argv, prog=prog, **options)
     except SystemExit as leave:
         if not leave.code:
             raise

@@ -685,7 +685,7 @@ def test_write_mesh_refuses_other_formats(tmp_path):
 @pytest.mark.parametrize("kind", ["stl", "glb"])
 def test_float32_formats_are_refused_far_from_the_origin(tmp_path, kind):
     mesh = trimesh.creation.icosphere(subdivisions=3)
-    check_float32(mesh, kind=kind, cell=2 / 256)
+    check_float32(mesh.vertices, kind=kind, cell=2 / 256)
     mesh.apply_translation([1e6, 0, 0])
     with pytest.raises(ValueError, match=rf"{kind.upper()} holds float32, 0\.0625 apart at .* 1e\+06, too coarse"):
         write_mesh(tmp_path / f"mesh.{kind}", mesh, cell=2 / 256)

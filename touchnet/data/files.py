@@ -1194,7 +1194,7 @@ def write_mesh(
         shown = target if isinstance(target, str | os.PathLike) else "kind"
         raise ValueError(f"{shown}: expected a mesh format out of {' '.join(MESH_SUFFIXES)}, got {'.' + kind!r}")
     if kind in ("stl", "glb"):
-        check_float32(mesh, kind=kind, cell=cell)
+        check_float32(mesh.vertices, kind=kind, cell=mesh.metadata.get("cell") if cell is None else cell)
     blocks = {"ply": _ply_blocks, "obj": _obj_blocks, "stl": _stl_blocks, "glb": _glb_blocks}[kind](mesh)
     if isinstance(target, str | os.PathLike):
         with open(target, "wb") as file:
@@ -1204,10 +1204,15 @@ def write_mesh(
             target.write(block)
 
 
-def check_float32(mesh: trimesh.Trimesh, *, kind: str, cell: float | None = None) -> None:
-    """Raises ValueError where float32 coordinates (`kind` stl or glb) would let vertices of `mesh` fall together."""
-    vertices = np.asarray(mesh.vertices, dtype=np.float64)
-    cell = mesh.metadata.get("cell") if cell is None else cell
+def check_float32(vertices: np.ndarray, *, kind: str, cell: float | None = None) -> None:
+    """Raises ValueError where float32 coordinates (`kind` "stl" or "glb") would let vertices fall together.
+
+    Args:
+        vertices: (V,3), or for a first look before there is a mesh the points it will lie among.
+        kind: the format, for the message.
+        cell: the side of the cells the mesh is extracted from; without it the vertices themselves are compared.
+    """
+    vertices = np.asarray(vertices, dtype=np.float64)
     largest = float(np.abs(vertices).max(initial=0.0))
     advice = f"move the object to the origin or write .ply or .obj instead of .{kind}"
     if largest > np.finfo(np.float32).max:
@@ -1221,9 +1226,7 @@ def check_float32(mesh: trimesh.Trimesh, *, kind: str, cell: float | None = None
                 f"of {cell:.3g}: {advice}"
             )
     elif len(np.unique(vertices.astype(np.float32), axis=0)) < len(np.unique(vertices, axis=0)):
-        raise ValueError(
-            f"{kind.upper()} holds float32, in which vertices fall together ({largest:g} ± {step:.3g}): {advice}"
-        )
+        raise ValueError(f"{kind.upper()} holds float32, in which vertices fall together (at {largest:g}): {advice}")
 
 
 def _ply_blocks(mesh: trimesh.Trimesh) -> Iterable[bytes]:

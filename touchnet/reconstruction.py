@@ -1,0 +1,319 @@
+"""From contacts to a closed mesh in the contacts' own frame."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Literal
+
+import numpy as np
+import torch
+import trimesh
+from scipy.spatial import cKDTree
+from torch import Tensor, nn
+
+from touchnet import ops
+from touchnet.frames import Frame, find_outliers
+
+__all__ = ["reconstruct_field", "reconstruct_mesh", "thin"]
+
+Up = Literal["x", "y", "z"] | None
+Field = Callable[[Tensor], Tensor]
+
+# Rows of the rotation from the input's axes to those of the model's cube, which is y-up.
+_TO_Y_UP = {
+    None: np.eye(3),
+    "y": np.eye(3),
+    "z": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+    "x": np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+}
+
+MIN_DISTINCT = 4  # fewer points bound no solid
+MAX_TOUCHES = 8192  # four times what models are trained with; more contacts are thinned
+REFIT = 1.25  # how much larger the cube gets when the surface meets its faces
+FLAT = 1e-3  # extent across, as a share of the extent along, below which contacts are a line or a plane
+FAR = 0.03  # distance of contacts from the surface, as a share of the longest side, that earns a warning
+CHUNK = 1 << 17  # queries a batch: their features take about 100 MB
+
+
+def reconstruct_mesh(
+    points: np.ndarray,
+    *,
+    normals: np.ndarray | None = None,
+    up: Up = None,
+    weights: str | os.PathLike[str] | nn.Module = "default",
+    resolution: int = 256,
+    device: str | torch.device = "auto",
+    level: float = 0.5,
+    max_touches: int = MAX_TOUCHES,
+) -> trimesh.Trimesh:
+    """Reconstructs the closed surface of the object that was touched.
+
+    The contacts are mapped into the model's cube by `Frame.fit`, encoded once, and the occupancy is extracted around
+    its surface, with the contacts as seeds so that no touched part is lost. If the surface meets the faces of the cube,
+    all is done once more in a larger cube. No random numbers are drawn; the order of the contacts does not matter (up
+    to rounding).
+
+    Args:
+        points: (N,3) contacts in any unit and offset, at least 4 distinct ones, all finite. Contacts that lie far from
+            all others are left out (`touchnet.frames.find_outliers`).
+        normals: (N,3) outward directions at the contacts; a row of zeros where one is not known.
+        up: which axis of the input points up; `None` assumes nothing.
+        weights: the name of weights in the package, the path of a safetensors file, or a model (it is moved to the
+            device and put into evaluation mode).
+        resolution: cells along the cube, whose side is 1.11 times the longest side of the box of the contacts.
+        device: "cpu", "cuda", or "auto": CUDA where there is a device and a build for it.
+        level: the occupancy at the surface.
+        max_touches: more contacts than this are thinned evenly over the surface (`thin`).
+
+    Returns:
+        A mesh in the frame and unit of the input, float64, outward winding, not processed (no vertex merged). Its
+        `metadata` say how it came about: "cell" (the side of a cell in the input's unit), "frame", "contacts" (used),
+        "outliers" (left out), "refitted", "meets_border", "distance" (median, from the contacts to the vertices).
+
+    Raises:
+        ValueError: contacts that are too few, on a line or not finite; no surface at the level; normals or options that
+            do not fit; coordinates too far from the origin for float64.
+
+    Warns:
+        UserWarning: outliers left out, contacts in a plane, a surface that meets the cube or is far from the contacts.
+    """
+    points, directions = _checked(points, normals)
+    if up not in _TO_Y_UP:
+        raise ValueError(f'up should be "x", "y", "z" or None, got {up!r}')
+    device = pick_device(device)
+    outliers = find_outliers(points)
+    if outliers.any():
+        first = int(np.flatnonzero(outliers)[0])
+        shown = ", ".join(f"{x:g}" for x in points[first])
+        warnings.warn(
+            f"{int(outliers.sum())} of {len(points)} contacts lie far from all others and are left out "
+            f"(the first: contact {first + 1} at {shown})",
+            stacklevel=2,
+        )
+        points = points[~outliers]
+        directions = None if directions is None else directions[~outliers]
+    _check_spread(points)
+    frame = Frame.fit(points, reject_outliers=False)
+    if len(points) > max_touches:
+        kept = thin(points, max_touches)
+        points = points[kept]
+        directions = None if directions is None else directions[kept]
+
+    model = _load(weights, device)
+    turned = None if directions is None else directions @ _TO_Y_UP[up].T
+
+    def mesh_in(frame: Frame) -> trimesh.Trimesh:
+        touches = frame.to_cube(points) @ _TO_Y_UP[up].T
+        with torch.inference_mode():
+            features = model.encode(_batch(touches, device), None if turned is None else _batch(turned, device))
+
+        def field(queries: Tensor) -> Tensor:
+            with torch.inference_mode():
+                return model.decode(features, queries[None])[0].float()
+
+        return reconstruct_field(
+            field, frame, up=up, resolution=resolution, level=level, seeds=points, device=device, dtype=torch.float32
+        )
+
+    mesh, refitted = mesh_in(frame), False
+    if mesh.metadata["meets_border"]:
+        mesh, refitted = _refit(mesh, mesh_in, frame.enlarged(REFIT))
+    distance = float(np.median(cKDTree(mesh.vertices).query(points)[0]))
+    longest = float(np.ptp(points, axis=0).max())
+    if distance > FAR * longest:
+        warnings.warn(
+            f"half of the contacts lie more than {distance:.3g} from the surface, {distance / longest:.0%} of their "
+            "longest side: these contacts do not look like the surface of an object that the model knows",
+            stacklevel=2,
+        )
+    mesh.metadata.update(contacts=len(points), outliers=int(outliers.sum()), refitted=refitted, distance=distance)
+    return mesh
+
+
+def reconstruct_field(
+    field: Field,
+    frame: Frame,
+    *,
+    resolution: int | Sequence[int] = 256,
+    level: float = 0.5,
+    seeds: np.ndarray | None = None,
+    up: Up = None,
+    device: str | torch.device = "cpu",
+    dtype: torch.dtype = torch.float64,
+    chunk: int = CHUNK,
+) -> trimesh.Trimesh:
+    """Extracts the surface of any occupancy field in the cube and maps it back to the object's frame.
+
+    Args:
+        field: cube coordinates (M,3), y up, to values (M,), high inside.
+        frame: the map from the object to the cube (before the turn that `up` asks for).
+        resolution: cells along each side of the cube [-1,1]^3, or (x, y, z).
+        level: the value at the surface; inside is value ≥ level.
+        seeds: (N,3) points near the surface, in the object's frame.
+        up: which axis of the object's frame points up; the mesh is turned back.
+        device, dtype: of the points handed to the field.
+        chunk: most points in one call.
+
+    Returns:
+        As `reconstruct_mesh`; metadata "cell", "frame" and "meets_border" (the solid is cut by the cube's faces).
+
+    Raises:
+        ValueError: no surface, values that are not finite, or coordinates too far from the origin for float64.
+    """
+    if up not in _TO_Y_UP:
+        raise ValueError(f'up should be "x", "y", "z" or None, got {up!r}')
+    if np.min(resolution) < 1:
+        raise ValueError(f"resolution should be at least 1, got {resolution}")
+    turn = _TO_Y_UP[up]
+    cell = 2.0 / float(np.max(resolution)) * frame.scale
+    # Vertices of one cell may lie a thousandth of its side apart.
+    largest = float(np.abs(frame.centre).max()) + frame.scale
+    if 1e-3 * cell < 8 * np.spacing(largest):
+        raise ValueError(
+            f"float64 steps of {np.spacing(largest):.3g} at the coordinate {largest:.3g} are too coarse for cells of "
+            f"{cell:.3g}: move the object nearer to the origin"
+        )
+    if seeds is not None:
+        seeds = torch.from_numpy(np.ascontiguousarray(frame.to_cube(seeds) @ turn.T))
+    vertices, faces = ops.octree_marching_cubes(
+        field, resolution=resolution, level=level, seeds=seeds, chunk=chunk, device=device, dtype=dtype
+    )
+    cube = vertices.numpy()
+    mesh = trimesh.Trimesh(frame.from_cube(cube @ turn), faces.numpy(), process=False, validate=False)
+    # The vertices that close the mesh at a face of the cube lie just outside of it.
+    mesh.metadata.update(cell=cell, frame=frame, meets_border=bool((np.abs(cube) > 1).any()))
+    return mesh
+
+
+def thin(points: np.ndarray, count: int) -> np.ndarray:
+    """Chooses at most `count` points, evenly over the surface: one for each cell of the finest grid that has so few.
+
+    No random numbers; the order of the points does not matter (of those nearest to the middle of a cell the first by
+    coordinates is taken). Dense places lose most, a place touched once stays.
+
+    Args:
+        points: (N,3) finite.
+        count: the most points to keep, at least 1.
+
+    Returns:
+        (K,) int64 indices, growing; all of them where N ≤ count.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points should have shape (N, 3), got {points.shape}")
+    if count < 1:
+        raise ValueError(f"count should be at least 1, got {count}")
+    if len(points) <= count:
+        return np.arange(len(points))
+    low = points.min(axis=0)
+    unit = points - low
+    unit = unit / (unit.max() or 1.0)
+
+    def cells(divisions: float) -> np.ndarray:
+        index = np.minimum(unit * divisions, divisions - 1).astype(np.int64)
+        return (index[:, 0] * 2**21 + index[:, 1]) * 2**21 + index[:, 2]
+
+    # The number of cells in use grows with that of divisions, nearly always; bisection finds the finest that fits.
+    few, many = 1, 2**20
+    while few + 1 < many:
+        middle = (few + many) // 2
+        if len(np.unique(cells(middle))) <= count:
+            few = middle
+        else:
+            many = middle
+    place = np.minimum(unit * few, few - 1).astype(np.int64)
+    off_middle = ((unit * few - place - 0.5) ** 2).sum(axis=1)
+    order = np.lexsort((points[:, 2], points[:, 1], points[:, 0], off_middle, cells(few)))
+    first = np.concatenate([[True], np.diff(cells(few)[order]) != 0])
+    return np.sort(order[first])
+
+
+def pick_device(name: str | torch.device) -> torch.device:
+    """The device called "cpu", "cuda", ..., or for "auto" CUDA where a device and kernels for it are at hand.
+
+    Raises:
+        ValueError: no such device.
+    """
+    if str(name) == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() and _cuda_kernels() else "cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise ValueError(f'device should be "auto", "cpu" or "cuda", got {name!r}') from None
+    if device.type not in ("cpu", "cuda"):
+        raise ValueError(f'device should be "auto", "cpu" or "cuda", got {str(name)!r}')
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise ValueError(f"device {str(name)!r} asked for, but this torch finds no CUDA device; use cpu")
+    if device.type == "cuda" and not _cuda_kernels():
+        raise ValueError(f"device {str(name)!r} asked for, but touchnet was built without CUDA kernels; use cpu")
+    return device
+
+
+def _cuda_kernels() -> bool:
+    if ops.BACKEND == "reference":
+        return True
+    from touchnet.ops._ext import _C
+
+    return bool(_C.build_info()["cuda_architectures"])
+
+
+def _checked(points: np.ndarray, normals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+    points = np.asarray(points, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points should have shape (N, 3), got {points.shape}")
+    broken = int((~np.isfinite(points)).any(axis=1).sum())
+    if broken:
+        raise ValueError(f"points should be finite, got {broken} of {len(points)} rows that are not")
+    if normals is None:
+        return points, None
+    normals = np.asarray(normals, dtype=np.float64)
+    if normals.shape != points.shape:
+        raise ValueError(f"normals should have the shape of points, {points.shape}, got {normals.shape}")
+    if not np.isfinite(normals).all():
+        raise ValueError("normals should be finite, with a row of zeros where one is not known")
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return points, normals / np.where(lengths > 0, lengths, 1.0)
+
+
+def _check_spread(points: np.ndarray) -> None:
+    """Refuses contacts that span no solid, warns of those that lie in a plane."""
+    distinct = np.unique(points, axis=0)
+    if len(distinct) < MIN_DISTINCT:
+        raise ValueError(f"expected at least {MIN_DISTINCT} distinct contacts, got {len(distinct)}")
+    centred = distinct - distinct.mean(axis=0)
+    centred /= np.abs(centred).max()
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(centred.T @ centred), 0.0))[::-1]
+    if spread[1] < FLAT * spread[0]:
+        raise ValueError(f"expected contacts around a solid, got {len(distinct)} distinct contacts on one line")
+    if spread[2] < FLAT * spread[0]:
+        warnings.warn("all contacts lie in one plane: the depth of the object is a guess", stacklevel=3)
+
+
+def _load(weights: str | os.PathLike[str] | nn.Module, device: torch.device) -> nn.Module:
+    if isinstance(weights, nn.Module):
+        return weights.to(device).eval()
+    from touchnet.weights import load_model
+
+    return load_model(weights, device=device)
+
+
+def _batch(rows: np.ndarray, device: torch.device) -> Tensor:
+    return torch.from_numpy(rows).to(device=device, dtype=torch.float32)[None]
+
+
+def _refit(
+    mesh: trimesh.Trimesh, mesh_in: Callable[[Frame], trimesh.Trimesh], frame: Frame
+) -> tuple[trimesh.Trimesh, bool]:
+    """The mesh in a larger cube, or the given one where there is none; and which of them it is."""
+    try:
+        again = mesh_in(frame)
+    except ValueError as error:
+        warnings.warn(f"the surface is cut off at the cube; in a larger cube: {error}", stacklevel=3)
+        return mesh, False
+    still = "; it meets the larger cube too and is cut off flat there" if again.metadata["meets_border"] else ""
+    warnings.warn(
+        f"the surface met the faces of the cube and was fitted again in one {REFIT} times as large{still}", stacklevel=3
+    )
+    return again, True
