@@ -3,10 +3,12 @@
 import io
 import json
 import locale
+import re
 import struct
 import tracemalloc
 import warnings
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +16,17 @@ import trimesh
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 
-from touchnet.data.files import Points, _lzf, check_float32, read_mesh, read_points, split_strokes, write_mesh
+from touchnet.data.files import (
+    MESH_SUFFIXES,
+    POINT_SUFFIXES,
+    Points,
+    _lzf,
+    check_float32,
+    read_mesh,
+    read_points,
+    split_strokes,
+    write_mesh,
+)
 from touchnet.meshes import check_closed
 
 XYZ = np.array([[0.5, -1.25, 2.0], [1e-3, 4.0, -0.75], [3.0, 0.0, 7.5], [-2.5, 1.0, 0.125]])
@@ -723,6 +735,27 @@ def test_split_strokes():
     assert split_strokes(np.zeros((1, 3))).tolist() == [0]
     with pytest.raises(ValueError, match=r"shape \(N, 3\), got \(3,\)"):
         split_strokes(np.zeros(3))
+
+
+# --- the page for users ----------------------------------------------------------------------------------------------
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "formats.md"
+
+
+def test_the_page_names_every_format():
+    text = PAGE.read_text()
+    assert all(f"{suffix} " in text.replace(",", " ") for suffix in (*POINT_SUFFIXES, *MESH_SUFFIXES))
+
+
+def test_the_snippets_of_the_page_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, "touches.csv", "x,y,z,stroke\n" + rows(np.hstack([XYZ, [[0], [0], [1], [1]]]), ","))
+    snippets = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    assert snippets
+    for snippet in snippets:
+        exec(compile(snippet, str(PAGE), "exec"), {})
+    assert capsys.readouterr().out == "4 False [0 0 1 1] 0\n"
 
 
 # --- damaged files --------------------------------------------------------------------------------------------------

@@ -804,7 +804,7 @@ def _parse_pcd(data: bytes, name: str) -> _Raw:
     if total == 0:
         raise ValueError(f"{name}: no points in this file (POINTS 0)")
     wanted = _pick(roles)
-    form = (head["DATA"] or [""])[0].lower()
+    form = (head.get("DATA") or [""])[0].lower()
     if form == "ascii":
         if total > len(data):
             raise ValueError(f"{name}: announces {total} points, found {len(data) - body} bytes of them")
