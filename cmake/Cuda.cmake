@@ -64,7 +64,7 @@ macro(touchnet_add_cuda target sources)
     target_sources(${target} PRIVATE ${sources})
     set_target_properties(${target} PROPERTIES CUDA_ARCHITECTURES "${CMAKE_CUDA_ARCHITECTURES}"
       CUDA_VISIBILITY_PRESET hidden)
-    target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--threads=2 -Xcompiler=-ffp-contract=off>)
+    target_compile_options(${target} PRIVATE $<$<COMPILE_LANGUAGE:CUDA>:--threads=2 --extended-lambda -Xcompiler=-ffp-contract=off>)
     list(JOIN cuda_architectures "," names)
     target_compile_definitions(${target} PRIVATE TOUCHNET_WITH_CUDA TOUCHNET_CUDA_ARCHITECTURES="${names}")
     message(STATUS "touchnet: CUDA kernels for sm_${names} with ${CMAKE_CUDA_COMPILER}")

@@ -7,6 +7,9 @@
 #include "marching_cubes.h"
 #include "octree.h"
 #include "volume_bindings.h"
+#ifdef TOUCHNET_WITH_CUDA
+#include "cuda/volume_bindings.h"
+#endif
 
 namespace py = pybind11;
 
@@ -79,6 +82,9 @@ PYBIND11_MODULE(_C, m) {
   // Gridding and sampling: <op>_<direction>_<dtype>.
   touchnet::define_volume_ops<float>(m, "float32");
   touchnet::define_volume_ops<double>(m, "float64");
+#ifdef TOUCHNET_WITH_CUDA
+  touchnet::cuda::define_volume_ops(m);
+#endif
 
   // Exploration: closest points on the mesh, Gaussian process of the contacts (touchnet/data).
   py::class_<touchnet::TriangleTree>(m, "TriangleTree")

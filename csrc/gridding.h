@@ -15,4 +15,20 @@ template <typename T>
 void gridding_backward(const T* grad_volume, VolumeShape shape, const T* points, const T* values, std::int64_t n,
                        T* grad_points, T* grad_values, int threads);
 
+namespace cuda {
+
+// `order` and `starts`: see cuda/scatter.h; null for atomic addition. `stream`: a cudaStream_t.
+template <typename T>
+void gridding_forward(const T* points, const T* values, std::int64_t n, T* volume, VolumeShape shape,
+                      const std::int64_t* order, const std::int64_t* starts, std::uintptr_t stream);
+template <typename T>
+void gridding_backward(const T* grad_volume, VolumeShape shape, const T* points, const T* values, std::int64_t n,
+                       T* grad_points, T* grad_values, std::uintptr_t stream);
+
+// The number of each point's cell, by which `order` sorts: kClamped for samplers, where a point outside belongs to the
+// nearest cell. A point that does not count gets the number after the last cell.
+template <bool kClamped, typename T>
+void cell_numbers(const T* points, std::int64_t n, VolumeShape shape, std::int64_t* numbers, std::uintptr_t stream);
+
+}  // namespace cuda
 }  // namespace touchnet

@@ -13,6 +13,14 @@ void gridding_reverse_forward(const T* volume, VolumeShape shape, T fill, T* poi
 template <typename T>
 void gridding_reverse_backward(const T* grad_points, const T* volume, VolumeShape shape, T* grad_volume, int threads);
 
+namespace cuda {
+template <typename T>
+void gridding_reverse_forward(const T* volume, VolumeShape shape, T fill, T* points, std::uintptr_t stream);
+template <typename T>
+void gridding_reverse_backward(const T* grad_points, const T* volume, VolumeShape shape, T* grad_volume,
+                               std::uintptr_t stream);
+}  // namespace cuda
+
 constexpr double kLeastWeight = 1e-6;
 
 }  // namespace touchnet

@@ -31,4 +31,20 @@ template <typename T>
 void cubic_backward_volume(const T* grad_out, const T* points, std::int64_t m, T* grad_volume, VolumeShape shape,
                            int threads);
 
+namespace cuda {
+
+// On CUDA the volume and the rows read from it may be half precision (T) while points, weights and sums are float (A);
+// the gradient of such a volume is summed in float. `order` and `starts`: see cuda/scatter.h.
+enum class Sampler { trilinear, addition, cubic };
+
+template <Sampler kSampler, typename T, typename A>
+void sample_forward(const T* volume, VolumeShape shape, const A* points, std::int64_t m, T* out, std::uintptr_t stream);
+template <Sampler kSampler, typename T, typename A>
+void sample_backward_volume(const T* grad_out, const A* points, std::int64_t m, A* grad_volume, VolumeShape shape,
+                            const std::int64_t* order, const std::int64_t* starts, std::uintptr_t stream);
+template <typename T, typename A>
+void trilinear_backward_points(const T* grad_out, const T* volume, VolumeShape shape, const A* points, std::int64_t m,
+                               A* grad_points, std::uintptr_t stream);
+
+}  // namespace cuda
 }  // namespace touchnet

@@ -42,6 +42,33 @@ def launch(name: str, dtype_of: Tensor, *arguments: object) -> None:
             kernel(*arguments, torch.cuda.current_stream(device).cuda_stream)
 
 
+def launch_scatter(
+    name: str, dtype_of: Tensor, points: Tensor, size: Sequence[int], clamped: bool, *arguments: object
+) -> None:
+    """Launch a kernel that adds points (B, N, 3) into a volume of `size`, in a fixed order where torch asks for one.
+
+    The CPU kernels have one. Those of CUDA add atomically, or by cell of the points sorted under
+    torch.use_deterministic_algorithms(True). `clamped`: points outside belong to the nearest cell.
+    """
+    if points.device.type == "cpu":
+        launch(name, dtype_of, *arguments)
+    elif torch.are_deterministic_algorithms_enabled():
+        order, starts = sort_by_cell(points, size, clamped)
+        launch(name, dtype_of, *arguments, order.data_ptr(), starts.data_ptr())
+    else:
+        launch(name, dtype_of, *arguments, 0, 0)
+
+
+def sort_by_cell(points: Tensor, size: Sequence[int], clamped: bool) -> tuple[Tensor, Tensor]:
+    """Points (B, N, 3) in the order of their cells: numbers (B N,), and where each cell starts (cells + 1,), int64."""
+    cells = points.shape[0] * (size[0] - 1) * (size[1] - 1) * (size[2] - 1)
+    numbers = torch.empty(points.shape[0] * points.shape[1], dtype=torch.int64, device=points.device)
+    shape = (points.shape[0], 1, *size)
+    launch("cell_numbers", points, points.data_ptr(), points.shape[1], shape, clamped, numbers.data_ptr())
+    ordered, order = torch.sort(numbers, stable=True)
+    return order, torch.searchsorted(ordered, torch.arange(cells + 1, device=points.device))
+
+
 def raw_kernel(fake: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Make a function that launches kernels known to torch.compile as a custom operator with this fake.
 
@@ -62,10 +89,12 @@ def raw_kernel(fake: Callable[..., Any]) -> Callable[[Callable[..., Any]], Calla
     return decorate
 
 
-def volume_like(volume: Tensor) -> Tensor:
+def volume_like(volume: Tensor, dtype: torch.dtype | None = None) -> Tensor:
     """An empty dense tensor of a volume's shape: channels last where the volume is, contiguous otherwise."""
     last = volume.is_contiguous(memory_format=torch.channels_last_3d) and not volume.is_contiguous()
-    return torch.empty_like(volume, memory_format=torch.channels_last_3d if last else torch.contiguous_format)
+    return torch.empty_like(
+        volume, dtype=dtype, memory_format=torch.channels_last_3d if last else torch.contiguous_format
+    )
 
 
 def refuse_transforms(name: str) -> None:

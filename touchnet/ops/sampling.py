@@ -8,6 +8,7 @@ from touchnet.ops._launch import (
     backward_is_recorded,
     differentiable_backward,
     launch,
+    launch_scatter,
     raw_kernel,
     refuse_transforms,
     volume_like,
@@ -44,10 +45,13 @@ def _sample_forward(kind: str, volume: Tensor, points: Tensor) -> Tensor:
 @raw_kernel(fake=lambda kind, grad, volume, points: volume_like(volume))
 def _sample_backward_volume(kind: str, grad: Tensor, volume: Tensor, points: Tensor) -> Tensor:
     grad, points = grad.contiguous(), points.contiguous()
-    result = volume_like(volume)
-    launch(
+    result = volume_like(volume, points.dtype)  # half precision is summed in float32
+    launch_scatter(
         f"{kind}_backward_volume",
         volume,
+        points,
+        volume.shape[2:],
+        True,
         grad.data_ptr(),
         points.data_ptr(),
         points.shape[1],
@@ -55,7 +59,7 @@ def _sample_backward_volume(kind: str, grad: Tensor, volume: Tensor, points: Ten
         result.shape,
         result.stride(),
     )
-    return result
+    return result.to(volume.dtype)
 
 
 @raw_kernel(fake=lambda grad, volume, points: points.new_empty(points.shape))

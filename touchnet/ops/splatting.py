@@ -6,7 +6,14 @@ import torch
 from torch import Tensor
 
 from touchnet import reference
-from touchnet.ops._launch import backward_is_recorded, differentiable_backward, launch, raw_kernel, refuse_transforms
+from touchnet.ops._launch import (
+    backward_is_recorded,
+    differentiable_backward,
+    launch,
+    launch_scatter,
+    raw_kernel,
+    refuse_transforms,
+)
 from touchnet.reference import _checks
 
 
@@ -24,9 +31,12 @@ def _gridding_forward(points: Tensor, values: Tensor | None, size: Sequence[int]
     points = points.contiguous()
     values = None if values is None else values.contiguous()
     volume = _new_volume(points, values, size, channels_last)
-    launch(
+    launch_scatter(
         "gridding_forward",
         points,
+        points,
+        size,
+        False,
         points.data_ptr(),
         0 if values is None else values.data_ptr(),
         points.shape[1],
