@@ -8,7 +8,7 @@
 #include "octree.h"
 #include "volume_bindings.h"
 #ifdef TOUCHNET_WITH_CUDA
-#include "cuda/volume_bindings.h"
+#include "cuda/bindings.h"
 #endif
 
 namespace py = pybind11;
