@@ -109,7 +109,11 @@ def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(eggs, tmp_path, r
     train(options(eggs, tmp_path / "halves", epochs=2, resume=True, **common))
     assert same(weights_of(tmp_path / "straight"), weights_of(tmp_path / "halves"))
     steps = [
-        [json.loads(line)["epoch"] for line in (tmp_path / run / "metrics.jsonl").read_text().splitlines() if "epoch" in line]
+        [
+            json.loads(line)["epoch"]
+            for line in (tmp_path / run / "metrics.jsonl").read_text().splitlines()
+            if "epoch" in line
+        ]
         for run in ("straight", "halves")
     ]
     assert steps[0][-1] == steps[1][-1] == 2
@@ -164,7 +168,9 @@ def test_a_killed_run_leaves_whole_files_and_resumes_to_the_same_weights(eggs, t
         load_model(tmp_path / "killed/weights.safetensors") if resume else None
         torch.load(checkpoint)
         resume = ["--resume"]
-    subprocess.run([*arguments, "--resume", "-o", str(tmp_path / "killed")], check=True, env=environment, capture_output=True)
+    subprocess.run(
+        [*arguments, "--resume", "-o", str(tmp_path / "killed")], check=True, env=environment, capture_output=True
+    )
     assert same(weights_of(tmp_path / "straight"), weights_of(tmp_path / "killed"))
 
 
@@ -226,7 +232,9 @@ def test_a_bad_value_stops_the_run_and_names_the_shape(eggs, tmp_path, monkeypat
 
 
 def test_an_untrained_network_without_a_surface_is_reported_not_fatal(eggs, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("touchnet.models.TouchNet.decode", lambda self, features, queries: torch.zeros(queries.shape[:2]))
+    monkeypatch.setattr(
+        "touchnet.models.TouchNet.decode", lambda self, features, queries: torch.zeros(queries.shape[:2])
+    )
     train(options(eggs, tmp_path / "run", steps=1))
     assert "no reconstruction of egg/5: " in capsys.readouterr().err
     assert (tmp_path / "run/reconstructions.png").exists()

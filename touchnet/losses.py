@@ -19,7 +19,9 @@ def occupancy_loss(logits: Tensor, inside: Tensor, kind: Loss = "cross_entropy")
         kind: "cross_entropy", or "squared": the paper's eq. 5 on the occupancy after the sigmoid.
     """
     if logits.shape != inside.shape:
-        raise ValueError(f"logits and inside should have one shape, got {tuple(logits.shape)} and {tuple(inside.shape)}")
+        raise ValueError(
+            f"logits and inside should have one shape, got {tuple(logits.shape)} and {tuple(inside.shape)}"
+        )
     logits, inside = logits.float(), inside.float()
     if kind == "cross_entropy":
         return F.binary_cross_entropy_with_logits(logits, inside)

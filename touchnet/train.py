@@ -13,6 +13,7 @@ import os
 import signal
 import sys
 import time
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -141,7 +142,9 @@ class StepBatches(Sampler[list[tuple[int, int]]]):
     all batches have one size (batch norm then never meets a single sample).
     """
 
-    def __init__(self, items: int, batch_size: int, *, seed: int, start: int, steps: int, rank: int, world: int) -> None:
+    def __init__(
+        self, items: int, batch_size: int, *, seed: int, start: int, steps: int, rank: int, world: int
+    ) -> None:
         if batch_size % world:
             raise ValueError(f"batch_size should be a multiple of the {world} processes, got {batch_size}")
         self.items, self.batch_size, self.seed = items, batch_size, seed
@@ -268,7 +271,9 @@ def train(config: TrainConfig) -> dict[str, float]:
             loss = model(batch.touches, batch.normals, batch.queries, batch.inside)
             if not torch.isfinite(loss):
                 names = ", ".join(samples.data.records[int(i)].id for i in batch.index)
-                raise ValueError(f"the loss is {loss.item()} at step {step}; the batch holds {names}. Nothing was updated.")
+                raise ValueError(
+                    f"the loss is {loss.item()} at step {step}; the batch holds {names}. Nothing was updated."
+                )
             accelerator.backward(loss)
             accelerator.clip_grad_norm_(model.parameters(), 1.0)
             optimizer.step()
@@ -325,11 +330,13 @@ def resolve_recipe(config: TrainConfig) -> Recipe:
 
 def embedded_data(config: TrainConfig) -> Path:
     """Directory of the embedded procedural data set, built on first use."""
+    from touchnet.data.factory import Parameters
     from touchnet.data.shapes import build_procedural
 
     root = config.cache or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "touchnet"
     directory = root / f"procedural-{config.shapes}"
-    build_procedural(directory, shapes=config.shapes)
+    jobs = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    build_procedural(directory, shapes=config.shapes, parameters=Parameters(trajectories=1), jobs=jobs)
     return directory
 
 
@@ -343,9 +350,7 @@ def validate(network: TouchNet, data: TouchDataset, device: torch.device, precis
         has_touches = shape.array("touches").shape[0] > 0
         for contacts, normals in VALIDATION if has_touches else ():
             sample = validation_sample(shape, contacts, normals=normals, index=index)
-            touches, directions, queries, inside, _ = (
-                value.to(device) for value in default_collate([sample])
-            )
+            touches, directions, queries, inside, _ = (value.to(device) for value in default_collate([sample]))
             with torch.autocast(device.type, dtype=torch.bfloat16, enabled=precision == "bf16"):
                 occupancy = network(touches, queries, directions)
             name = f"iou/{contacts}" + ("+normals" if normals else "")
@@ -354,27 +359,28 @@ def validate(network: TouchNet, data: TouchDataset, device: torch.device, precis
 
 
 def draw_reconstructions(network: TouchNet, data: TouchDataset, output: Path, *, rows: int = 6) -> None:
-    """Writes `reconstructions.png`: touches, reconstruction and truth of some shapes; says which have no surface."""
+    """Writes `reconstructions.png`: touches, reconstruction and truth of some shapes; says which went wrong and why."""
     from touchnet.figures import save_gallery
     from touchnet.reconstruction import reconstruct_mesh
 
-    pictures, failures = [], []
+    pictures = []
     for index in np.unique(np.linspace(0, len(data) - 1, rows).round().astype(int)):
         shape = data.shape(int(index))
         name = data.records[int(index)].id
         stored = shape.array("touches")
-        touches, normals = (stored[0], shape.array("touch_normals")[0]) if len(stored) else (
-            shape.array("surface")[:2048], shape.array("surface_normals")[:2048]
-        )  # fmt: skip
-        try:
-            mesh = reconstruct_mesh(touches, normals=normals.astype(np.float32), weights=network, resolution=128)
-        except ValueError as error:
-            failures.append(f"{name}: {error}")
-            mesh = None
+        source = ("touches", "touch_normals") if len(stored) else ("surface", "surface_normals")
+        touches, normals = (shape.array(part).reshape(-1, 3)[:2048].astype(np.float64) for part in source)
+        mesh = None
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always", UserWarning)
+            try:
+                mesh = reconstruct_mesh(touches, normals=normals, weights=network, resolution=128)
+            except ValueError as error:
+                print(f"no reconstruction of {name}: {error}", file=sys.stderr)
+        for warning in said:
+            print(f"reconstruction of {name}: {warning.message}", file=sys.stderr)
         pictures.append((name, touches, mesh, shape.mesh()))
     save_gallery(output / "reconstructions.png", pictures)
-    for failure in failures:
-        print(f"no reconstruction of {failure}", file=sys.stderr)
 
 
 def save_checkpoint(
@@ -393,12 +399,19 @@ def save_checkpoint(
 
 
 def load_checkpoint(
-    path: Path, network: TouchNet, average: Average, optimizer: torch.optim.Optimizer, recipe: Recipe, device: torch.device
+    path: Path,
+    network: TouchNet,
+    average: Average,
+    optimizer: torch.optim.Optimizer,
+    recipe: Recipe,
+    device: torch.device,
 ) -> int:
     """Restores what :func:`save_checkpoint` wrote; returns the step to go on from."""
     state = torch.load(path, map_location=device, weights_only=True)
     if state["model"] != dataclasses.asdict(recipe.model):
-        raise ValueError(f"resume: {path} holds the model {state['model']}, asked for {dataclasses.asdict(recipe.model)}")
+        raise ValueError(
+            f"resume: {path} holds the model {state['model']}, asked for {dataclasses.asdict(recipe.model)}"
+        )
     network.load_state_dict(state["network"])
     average.network.load_state_dict(state["average"])
     optimizer.load_state_dict(state["optimizer"])

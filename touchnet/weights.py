@@ -19,7 +19,9 @@ from touchnet.models import TouchNet
 FORMAT = "touchnet-weights"
 
 
-def save_weights(model: TouchNet, path: str | os.PathLike, *, half: bool = False, notes: dict[str, str] | None = None) -> None:
+def save_weights(
+    model: TouchNet, path: str | os.PathLike, *, half: bool = False, notes: dict[str, str] | None = None
+) -> None:
     """Writes `model` to `path` (moved into place when complete).
 
     Args:
@@ -83,7 +85,9 @@ def shipped_names() -> list[str]:
     folder = resources.files("touchnet") / "pretrained"
     if not folder.is_dir():
         return []
-    return sorted(entry.name.removesuffix(".safetensors") for entry in folder.iterdir() if entry.name.endswith(".safetensors"))
+    return sorted(
+        entry.name.removesuffix(".safetensors") for entry in folder.iterdir() if entry.name.endswith(".safetensors")
+    )
 
 
 def shipped_weights(name: str) -> Path | None:

@@ -73,7 +73,14 @@ def contacts_of(sample):
 @pytest.mark.parametrize("epoch", range(6))
 @pytest.mark.parametrize(
     "change",
-    [{}, {"stretch": 1}, {"rotate_up": 1}, {"rotate_free": 1}, {"stretch": 1, "rotate_free": 1}, {"uniform_contacts": 1}],
+    [
+        {},
+        {"stretch": 1},
+        {"rotate_up": 1},
+        {"rotate_free": 1},
+        {"stretch": 1, "rotate_free": 1},
+        {"uniform_contacts": 1},
+    ],
 )
 def test_touches_normals_and_labels_move_together(change, epoch):
     sample = draw(dataclasses.replace(STILL, min_contacts=1500, **change), epoch=epoch)
@@ -105,7 +112,11 @@ def test_sizes_are_fixed_and_values_in_range(config, epoch):
 def test_samples_repeat_for_a_key_and_differ_between_keys():
     a, b = draw(SampleConfig(), epoch=3), draw(SampleConfig(), epoch=3)
     assert all(np.array_equal(x, y, equal_nan=True) for x, y in zip(a[:4], b[:4], strict=True))
-    others = [draw(SampleConfig(), epoch=4), draw(SampleConfig(), epoch=3, item=1), draw(SampleConfig(), epoch=3, seed=1)]
+    others = [
+        draw(SampleConfig(), epoch=4),
+        draw(SampleConfig(), epoch=3, item=1),
+        draw(SampleConfig(), epoch=3, seed=1),
+    ]
     assert not any(np.array_equal(a.queries, other.queries) for other in others)
 
 

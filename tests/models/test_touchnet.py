@@ -55,7 +55,9 @@ def test_paper_network_runs_forward_and_backward():
 def test_every_parameter_of_base_gets_a_gradient(model):
     touches, normals = touches_on_sphere(60)
     model.logits(touches, queries_in_cube(200), normals).pow(2).sum().backward()
-    silent = [name for name, parameter in model.named_parameters() if parameter.grad is None or not parameter.grad.any()]
+    silent = [
+        name for name, parameter in model.named_parameters() if parameter.grad is None or not parameter.grad.any()
+    ]
     assert silent == []
 
 

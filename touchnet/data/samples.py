@@ -71,7 +71,9 @@ class TrainingSamples(Dataset):
         )
 
 
-def validation_sample(shape: ShapeFile, contacts: int, *, normals: bool, index: int = 0, queries: int = 16384) -> Sample:
+def validation_sample(
+    shape: ShapeFile, contacts: int, *, normals: bool, index: int = 0, queries: int = 16384
+) -> Sample:
     """The first `contacts` contacts of the first trajectory and uniform labelled points of the shape's box, unmoved."""
     touches = np.asarray(shape.array("touches")[0, :contacts], dtype=np.float64)
     directions = np.asarray(shape.array("touch_normals")[0, :contacts], dtype=np.float64)
@@ -168,7 +170,9 @@ def _draw_queries(
         if len(every) == 0:
             raise ValueError("no labelled point of the shape lies in the cube of its touches")
         spare = np.setdiff1d(every, rows)
-        rows = np.concatenate([rows, rng.choice(spare if len(spare) else every, size=short, replace=len(spare) < short)])
+        rows = np.concatenate(
+            [rows, rng.choice(spare if len(spare) else every, size=short, replace=len(spare) < short)]
+        )
     return np.concatenate(points)[rows], np.concatenate(inside)[rows]
 
 

@@ -69,7 +69,9 @@ class TouchNet(nn.Module):
         if touches.dim() != 3 or touches.shape[2] != 3:
             raise ValueError(f"touches should have shape (B, N, 3), got {tuple(touches.shape)}")
         if normals is not None and normals.shape != touches.shape:
-            raise ValueError(f"normals should have the shape of touches {tuple(touches.shape)}, got {tuple(normals.shape)}")
+            raise ValueError(
+                f"normals should have the shape of touches {tuple(touches.shape)}, got {tuple(normals.shape)}"
+            )
         if self.config.network == "paper":
             volume = ops.gridding(touches, self.config.grid)  # (B, 1, S, S, S)
         else:
