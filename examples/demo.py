@@ -63,9 +63,8 @@ def main() -> None:
         )
     ]
     save_gallery(output / "demo.png", picture, size=384)
-    print(
-        f"\nmesh {output / 'mesh.ply'}, picture {output / 'demo.png'}, held-out shapes {output / 'evaluation' / 'gallery.png'}"
-    )
+    print(f"\nmesh {output / 'mesh.ply'}, picture {output / 'demo.png'}")
+    print(f"shapes held out from training: {output / 'evaluation' / 'gallery.png'}")
 
 
 if __name__ == "__main__":

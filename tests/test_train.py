@@ -49,7 +49,8 @@ def ellipsoid(path, axes, *, trajectories=2, contacts=256, seed=0):
     tensors = {
         "vertices": (ball.vertices * axes).astype(np.float32), "faces": ball.faces.astype(np.int32),
         "touches": touches.astype(np.float32), "touch_normals": touch_normals.astype(np.float16),
-        "strokes": np.zeros((trajectories, contacts), np.int16), "variance": np.ones((trajectories, contacts), np.float32),
+        "strokes": np.zeros((trajectories, contacts), np.int16),
+        "variance": np.ones((trajectories, contacts), np.float32),
         "near": near, "near_inside": near_inside, "box": box, "box_inside": box_inside,
         "surface": on_surface.astype(np.float32), "surface_normals": surface_normals.astype(np.float16),
     }  # fmt: skip
@@ -197,8 +198,9 @@ def test_batches_cover_each_epoch_and_do_not_depend_on_where_they_start_or_on_pr
 
     whole = keys(0)
     assert [len(batch) for batch in whole] == [4] * 9
-    assert {item for _, item in sum(whole[:3], [])} == set(range(10))
-    assert {epoch for epoch, _ in sum(whole[:3], [])} == {0} and whole[3][0][0] == 1
+    first = [key for batch in whole[:3] for key in batch]
+    assert {item for _, item in first} == set(range(10))
+    assert {epoch for epoch, _ in first} == {0} and whole[3][0][0] == 1
     assert keys(5) == whole[5:]
     halves = zip(keys(0, 0, 2), keys(0, 1, 2), strict=True)
     assert [sorted(a + b) for a, b in halves] == [sorted(batch) for batch in whole]

@@ -38,7 +38,7 @@ def test_half_precision_halves_the_file_and_loads_as_float32(model, tmp_path):
 
 
 def test_missing_file_names_the_path(tmp_path):
-    with pytest.raises(FileNotFoundError, match="no such file .*nowhere"):
+    with pytest.raises(FileNotFoundError, match=r"no such file .*nowhere"):
         load_model(tmp_path / "nowhere.safetensors")
 
 

@@ -67,7 +67,8 @@ class SampleConfig:
     no_normals: float = 0.4
     """Share of the samples that come without contact normals."""
     noise: float = 0.3
-    """Share of the samples with noisy contacts (positions up to 0.5 % of the longest side, normals up to 10 degrees)."""
+    """Share of the samples with noisy contacts: positions up to 0.5 % of the longest side, normals up to 10
+    degrees."""
     stretch: float = 0.5
     """Share of the samples scaled by 0.75 ... 1.33 along each axis."""
     rotate_up: float = 0.15

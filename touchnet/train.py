@@ -138,8 +138,8 @@ class Step(nn.Module):
 class StepBatches(Sampler[list[tuple[int, int]]]):
     """The (epoch, item) keys of each step's batch from step `start` to `steps`, this process's share of them.
 
-    Every epoch is a permutation keyed by (seed, epoch); the last batch of an epoch is filled from its beginning, so that
-    all batches have one size (batch norm then never meets a single sample).
+    Every epoch is a permutation keyed by (seed, epoch). Its last batch is filled from its beginning, so that all batches
+    have one size (batch norm then never meets a single sample).
     """
 
     def __init__(
@@ -449,7 +449,7 @@ class Log:
 
 
 class stop_requests:
-    """Context in which Ctrl-C and SIGTERM ask the loop to stop after the step under way; `is_set` says that one came."""
+    """Context in which Ctrl-C and SIGTERM ask the loop to stop after the step under way; `is_set` says one came."""
 
     def __init__(self) -> None:
         self.is_set = False

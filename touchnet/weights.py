@@ -60,13 +60,11 @@ def load_model(name_or_path: str | os.PathLike = "default", *, device: str | tor
     path = shipped_weights(name_or_path) if isinstance(name_or_path, str) else None
     path = path or Path(name_or_path)
     if not path.is_file():
-        raise FileNotFoundError(
-            f"weights: no such file {path}, and the weights inside the package are {', '.join(shipped_names()) or 'none'}"
-        )
+        raise FileNotFoundError(f"weights: no such file {path}; the package has {', '.join(shipped_names()) or 'none'}")
     try:
         with safe_open(path, framework="pt") as file:
             header = file.metadata() or {}
-            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            state = {name: file.get_tensor(name) for name in file.keys()}
     except SafetensorError as error:
         raise ValueError(f"weights: {path} is not a safetensors file ({error})") from None
     if header.get("format") != FORMAT or "config" not in header:

@@ -1,4 +1,4 @@
-"""Training and validation samples: a shape's touches and labelled query points, moved together into the model's cube."""
+"""Training and validation samples: a shape's touches and labelled points, moved together into the model's cube."""
 
 from __future__ import annotations
 

@@ -43,8 +43,14 @@ class TouchNet(nn.Module):
             self.unet = BaseUNet3D(8 if config.use_normals else 4, config.channels, config.scales)
             features = sum(config.channels[: config.scales])
         self.head = nn.Sequential(
-            nn.Linear(features, 64), nn.ReLU(), nn.Linear(64, 128), nn.ReLU(), nn.Linear(128, 32), nn.ReLU(), nn.Linear(32, 1)
-        )  # fmt: skip
+            nn.Linear(features, 64),
+            nn.ReLU(),
+            nn.Linear(64, 128),
+            nn.ReLU(),
+            nn.Linear(128, 32),
+            nn.ReLU(),
+            nn.Linear(32, 1),
+        )
         self.to(memory_format=torch.channels_last_3d)
 
     def forward(self, touches: Tensor, queries: Tensor, normals: Tensor | None = None) -> Tensor:

@@ -69,7 +69,8 @@ class BaseUNet3D(nn.Module):
             )
             for before, after in [(full, half), (half, quarter), (quarter, eighth), (eighth, sixteenth)]
         )
-        # At 4^3 two 3^3 convolutions see the whole object: the paper's fully connected layers at a twentieth of their size.
+        # At 4^3 two 3^3 convolutions see the whole object: what the paper's fully connected layers
+        # are for, at a fiftieth of their parameters.
         self.bottleneck = nn.Sequential(
             *(
                 layer
@@ -111,5 +112,5 @@ def parameter_count(module: nn.Module) -> int:
 
 
 def channels_last(volume: Tensor) -> Tensor:
-    """`volume` (B, C, X, Y, Z) with the channels of a vertex side by side, as convolutions and samplers read fastest."""
+    """`volume` (B, C, X, Y, Z) with the channels of a vertex side by side in memory: the fast layout."""
     return volume.contiguous(memory_format=torch.channels_last_3d)
