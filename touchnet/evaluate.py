@@ -33,6 +33,7 @@ from touchnet.metrics import DEFINITIONS, THRESHOLDS, PaperTruth, SurfaceTruth, 
 PAPER_SAMPLES = 4096  # of each kind (each sigma of `near`, and `box`) in the protocol `paper`
 PAPER_COUNT = 2048
 PAPER_THRESHOLD = 0.01
+TILE = 224  # pixels
 RESAMPLES = 1000
 INTERVAL = 0.95
 
@@ -226,7 +227,7 @@ def evaluate_shape(
         if task.trajectory == 0 and task.contacts == max(config.contacts):
             drawn[task.method, task.normals] = result
     if picture is not None:
-        _draw(picture, record.id, touches[0, : max(config.contacts)], drawn, mesh)
+        _draw(picture, touches[0, : max(config.contacts)], drawn, mesh)
     return rows
 
 
@@ -251,20 +252,22 @@ def _paper_truth(shape: ShapeFile, kinds: int) -> PaperTruth:
 
 def _draw(
     path: Path,
-    caption: str,
     touches: NDArray[np.float64],
     drawn: dict[tuple[str, bool], trimesh.Trimesh | None],
     truth: trimesh.Trimesh,
 ) -> None:
-    from touchnet.figures import save_gallery
+    """One shape's tiles side by side, with their names in the file; `save_gallery` puts them into the sheet."""
+    from PIL import Image, PngImagePlugin
 
-    titles = [_label(method, normals) for method, normals in drawn]
-    save_gallery(
-        path,
-        [(caption, touches, *drawn.values(), truth)],
-        titles=[f"{len(touches)} touches", *titles, "truth"],
-        size=224,
-    )
+    from touchnet.figures import draw_row
+
+    tiles = draw_row([touches, *drawn.values(), truth], size=TILE)
+    said = PngImagePlugin.PngInfo()
+    said.add_text("titles", json.dumps([f"{len(touches)} touches", *(_label(*key) for key in drawn), "truth"]))
+    blank = np.full((TILE, TILE, 3), 255, dtype=np.uint8)
+    strip = Image.fromarray(np.concatenate([blank if tile is None else tile for tile in tiles], axis=1))
+    with cli.atomic_output(path, force=True) as temporary:
+        strip.save(temporary, format="PNG", pnginfo=said)
 
 
 def _label(method: str, normals: bool) -> str:
@@ -308,7 +311,7 @@ def collect(config: EvaluateConfig, settings: dict[str, Any], weights: str, prog
         picture = None
         if pictured.get(record.category, 0) < config.gallery and stored[0]:
             pictured[record.category] = pictured.get(record.category, 0) + 1
-            picture = config.output / "gallery" / f"{record.id.replace('/', '_')}.png"
+            picture = _strip(config, record.id)
         if missing:
             jobs.append((index, missing, picture))
     new = not progress.exists() or not config.resume
@@ -585,21 +588,28 @@ def versions() -> dict[str, str]:
     return found
 
 
-def stack_gallery(config: EvaluateConfig, shapes: Iterable[str]) -> None:
-    """gallery.png from the rows drawn with the shapes."""
+def assemble_gallery(config: EvaluateConfig, shapes: Iterable[str]) -> None:
+    """gallery.png from the strips of tiles that were drawn with the shapes."""
     from PIL import Image
 
-    files = [config.output / "gallery" / f"{shape.replace('/', '_')}.png" for shape in shapes]
-    pictures = [Image.open(file).convert("RGB") for file in files if file.is_file()]
-    if not pictures:
-        return
-    sheet = Image.new("RGB", (max(p.width for p in pictures), sum(p.height for p in pictures)), (255, 255, 255))
-    top = 0
-    for picture in pictures:
-        sheet.paste(picture, (0, top))
-        top += picture.height
-    with cli.atomic_output(config.output / "gallery.png", force=True) as path:
-        sheet.save(path, format="PNG")
+    from touchnet.figures import save_gallery
+
+    rows, titles = [], []
+    for shape in shapes:
+        file = _strip(config, shape)
+        if file.is_file():
+            with Image.open(file) as strip:
+                named = json.loads(strip.text["titles"])
+                pixels = np.asarray(strip.convert("RGB"))
+            tiles = np.split(pixels, len(named), axis=1)
+            rows.append((shape, *(None if (tile == 255).all() else tile for tile in tiles)))
+            titles = named if len(named) > len(titles) else titles
+    if rows:
+        save_gallery(config.output / "gallery.png", rows, titles=titles, size=TILE)
+
+
+def _strip(config: EvaluateConfig, shape: str) -> Path:
+    return config.output / "gallery" / f"{shape.replace('/', '_')}.png"
 
 
 def evaluate(config: EvaluateConfig, *, command: str = "") -> list[Summary]:
@@ -628,7 +638,7 @@ def evaluate(config: EvaluateConfig, *, command: str = "") -> list[Summary]:
     measures = [name for name in result_keys(config) if name in COLUMNS]
     summaries = summarise(rows, measures, seed=config.seed)
     write_report(config, settings, rows, summaries, command)
-    stack_gallery(config, dict.fromkeys(row["shape"] for row in rows))
+    assemble_gallery(config, dict.fromkeys(row["shape"] for row in rows))
     return summaries
 
 

@@ -277,7 +277,8 @@ def save_gallery(
     captions, pictures = [], []
     for row in rows:
         captions.append("   ".join(tile for tile in row if isinstance(tile, str)))
-        pictures.append(_drawn([tile for tile in row if not isinstance(tile, str)], size, azimuth, elevation))
+        tiles = [tile for tile in row if not isinstance(tile, str)]
+        pictures.append(draw_row(tiles, size=size, azimuth=azimuth, elevation=elevation))
     columns = max((len(row) for row in pictures), default=0)
     if columns == 0:
         raise ValueError("rows must hold at least one tile, got none")
@@ -312,26 +313,28 @@ def save_gallery(
         sheet.save(temporary, format="PNG")
 
 
-def _drawn(row: Sequence[Tile], size: int, azimuth: float, elevation: float) -> list[Picture | None]:
-    meshes = [tile for tile in row if isinstance(tile, trimesh.Trimesh) and len(tile.faces)]
-    clouds = [tile for tile in row if isinstance(tile, np.ndarray) and tile.shape[1:] == (3,)]
+def draw_row(
+    tiles: Sequence[Tile], *, size: int = 256, azimuth: float = 35.0, elevation: float = 22.0
+) -> list[Picture | None]:
+    """Pictures of the tiles of a row (see `save_gallery`), all under one view; `None` for what has no surface."""
+    meshes = [tile for tile in tiles if isinstance(tile, trimesh.Trimesh) and len(tile.faces)]
+    clouds = [tile for tile in tiles if isinstance(tile, np.ndarray) and tile.shape[1:] == (3,)]
     shown = [meshes[-1].vertices] if meshes else clouds[-1:]
     view = View.of(np.concatenate(shown) if shown else np.zeros((0, 3)), azimuth=azimuth, elevation=elevation)
     drawn: list[Picture | None] = []
-    for tile in row:
+    for tile in tiles:
         if isinstance(tile, trimesh.Trimesh):
             drawn.append(draw_mesh(tile, size=size, view=view) if len(tile.faces) else None)
         elif tile is None:
             drawn.append(None)
-        elif tile.shape[1:] == (3,):
+        elif isinstance(tile, np.ndarray) and tile.shape[1:] == (3,):
             drawn.append(draw_touches(tile, size=size, view=view))
-        elif tile.ndim == 3 and tile.shape[2] == 3 and tile.dtype == np.uint8:
-            drawn.append(np.asarray(Image.fromarray(tile).resize((size, size))))
+        elif isinstance(tile, np.ndarray) and tile.shape[2:] == (3,) and tile.dtype == np.uint8:
+            fits = tile.shape[:2] == (size, size)
+            drawn.append(tile if fits else np.asarray(Image.fromarray(tile).resize((size, size))))
         else:
-            raise ValueError(
-                f"a tile must be a mesh, points (N, 3), a picture (H, W, 3) of uint8 or None, "
-                f"got {tile.dtype} of shape {tile.shape}"
-            )
+            kind = f"{tile.dtype} of shape {tile.shape}" if isinstance(tile, np.ndarray) else type(tile).__name__
+            raise ValueError(f"a tile must be a mesh, points (N, 3), a picture (H, W, 3) of uint8 or None, got {kind}")
     return drawn
 
 

@@ -129,18 +129,16 @@ def normal_consistency(a: Tensor, a_normals: Tensor, b: Tensor, b_normals: Tenso
     return result[0] if single else result
 
 
-@torch.no_grad()
 def farthest_point_sample(points: Tensor, count: int, *, start: int = 0) -> Tensor:
-    """Indices of `count` points, each the farthest from those chosen before it.
+    """Indices of `count` points, each the farthest from those chosen before it. Computed on the CPU in float64.
 
     Args:
-        points: (N, 3) or (B, N, 3), finite.
+        points: (N, 3) or (B, N, 3), finite, on any device.
         count: 0 <= count <= N.
         start: index of the first one; negative counts from the end.
 
     Returns:
-        (count,) or (B, count) int64, all different while distinct points are left; of equally far points the one with
-        the lowest index.
+        (count,) or (B, count) int64 on the device of the points, all different.
     """
     batch, _, single = _point_sets(points, points)
     n = batch.shape[1]
@@ -148,20 +146,28 @@ def farthest_point_sample(points: Tensor, count: int, *, start: int = 0) -> Tens
         raise ValueError(f"count must be between 0 and the number of points {n}, got {count}")
     if count and not -n <= start < n:
         raise ValueError(f"start must be an index of {n} points, got {start}")
-    chosen = torch.zeros(len(batch), count, dtype=torch.int64, device=points.device)
-    planes = batch.transpose(1, 2).contiguous()  # (B, 3, N)
-    distance = batch.new_full((len(batch), n), torch.inf)
-    step, square = torch.empty_like(planes), torch.empty_like(distance)
-    latest = torch.full((len(batch), 1), start % n if n else 0, device=points.device)
+    chosen = [_farthest(cloud, count, start) for cloud in batch.detach().to("cpu", torch.float64).numpy()]
+    result = torch.from_numpy(np.array(chosen, dtype=np.int64).reshape(len(batch), count)).to(points.device)
+    return result[0] if single else result
+
+
+def _farthest(points: NDArray[np.float64], count: int, start: int) -> NDArray[np.int64]:
+    # |x - y|^2 = |x|^2 - 2 x.y + |y|^2 takes half the passes over memory; about the middle it keeps its digits.
+    points = points - points.mean(axis=0) if len(points) else points
+    square = np.square(points).sum(axis=1)
+    doubled = 2 * points
+    distance, step = np.full(len(points), np.inf), np.empty(len(points))
+    chosen = np.empty(count, dtype=np.int64)
+    latest = start % max(len(points), 1)
     for k in range(count):
-        chosen[:, k : k + 1] = latest
-        here = torch.gather(planes, 2, latest[:, None, :].expand(-1, 3, -1))  # (B, 3, 1)
-        torch.sub(planes, here, out=step)
-        torch.sum(step.mul_(step), dim=1, out=square)
-        torch.minimum(distance, square, out=distance)
-        distance.scatter_(1, latest, -1)  # a chosen point is not chosen again, not even among duplicates
-        latest = distance.argmax(dim=1, keepdim=True)
-    return chosen[0] if single else chosen
+        chosen[k] = latest
+        np.dot(points, doubled[latest], out=step)
+        np.subtract(square, step, out=step)
+        step += square[latest]
+        np.minimum(distance, step, out=distance)
+        distance[latest] = -np.inf  # chosen once only, also among duplicates
+        latest = distance.argmax()
+    return chosen
 
 
 @torch.no_grad()

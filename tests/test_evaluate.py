@@ -1,0 +1,262 @@
+"""The evaluation of a small data set of balls and boxes, whose right answers are known."""
+
+import csv
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from PIL import Image
+
+from touchnet import evaluate as command
+from touchnet.config import ModelConfig
+from touchnet.data.dataset import Index, ShapeRecord, write_index, write_shape
+from touchnet.evaluate import TRUTH, EvaluateConfig, Method, Task, evaluate, main, result_keys, summarise, tasks_of
+from touchnet.metrics import inside_mesh, sample_surface
+from touchnet.models import TouchNet
+from touchnet.weights import save_weights
+
+TOUCHES = 96
+
+
+def write_shape_file(directory: Path, name: str, mesh: trimesh.Trimesh) -> ShapeRecord:
+    generator = np.random.default_rng(len(name))
+    mesh.apply_scale(1 / mesh.extents.max())
+    vertices, faces = mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    surface, face = sample_surface(mesh, 400, generator=generator)
+    touched = [generator.permutation(400)[:TOUCHES] for _ in range(2)]
+    near = np.concatenate([surface[:200] + generator.normal(size=(200, 3)) * sigma for sigma in (0.01, 0.05)])
+    near, box = near.astype(np.float16), generator.uniform(*mesh.bounds, (300, 3)).astype(np.float16)
+    normals = mesh.face_normals[face].astype(np.float16)
+    tensors = {
+        "vertices": vertices,
+        "faces": faces,
+        "touches": np.stack([surface[some] for some in touched]).astype(np.float32),
+        "touch_normals": np.stack([normals[some] for some in touched]),
+        "strokes": np.zeros((2, TOUCHES), dtype=np.int16),
+        "variance": np.ones((2, TOUCHES), dtype=np.float32),
+        "near": near,
+        "near_inside": np.packbits(inside_mesh(near, mesh)),
+        "box": box,
+        "box_inside": np.packbits(inside_mesh(box, mesh)),
+        "surface": surface.astype(np.float32),
+        "surface_normals": normals,
+    }
+    file = f"shapes/{name}.safetensors"
+    said = {"id": name, "category": name.split("/")[0], "centre": "[0, 0, 0]", "scale": "1", "closed_by": "nothing"}
+    digest = write_shape(directory / file, tensors, said)
+    return ShapeRecord(name, name.split("/")[0], "test", "made here", "MIT", file, digest)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> Path:
+    directory = tmp_path_factory.mktemp("data")
+    records = [
+        write_shape_file(directory, "ball/round", trimesh.creation.icosphere(subdivisions=3)),
+        write_shape_file(directory, "ball/oblong", trimesh.creation.capsule(height=1, radius=0.4)),
+        write_shape_file(directory, "box/cube", trimesh.creation.box((1, 1, 1))),
+        write_shape_file(directory, "box/brick", trimesh.creation.box((1, 0.5, 0.4))),
+    ]
+    write_index(directory, Index(0, {"sigmas": [0.01, 0.05]}, records, []))
+    return directory
+
+
+def config(data: Path, output: Path, **changes: object) -> EvaluateConfig:
+    small = EvaluateConfig(
+        data=data, output=output, methods=("convex_hull",), contacts=(32, TOUCHES), samples=1500, gallery=0
+    )
+    return dataclasses.replace(small, **changes)
+
+
+def results(output: Path) -> list[dict[str, str]]:
+    """results.csv without the time, which is never the same."""
+    with (output / "results.csv").open(newline="") as file:
+        return [{name: value for name, value in row.items() if name != "seconds"} for row in csv.DictReader(file)]
+
+
+@pytest.fixture
+def calls(monkeypatch) -> list[tuple[int, bool]]:
+    """Puts a method in the model's place that gives the hull, or nothing for few contacts; notes how it was called."""
+    seen = []
+
+    def run(touches, normals, config):
+        seen.append((len(touches), normals is not None))
+        if len(touches) < 50:
+            raise ValueError("no surface at level 0.5")
+        return command.convex_hull(touches)
+
+    monkeypatch.setitem(command.METHODS, "model", Method(run, (True, False)))
+    monkeypatch.setattr(command, "_weights_digest", lambda weights: weights)
+    return seen
+
+
+def test_the_command_writes_and_prints_everything(data: Path, tmp_path: Path, capsys) -> None:
+    output = tmp_path / "report"
+    arguments = ["--methods", "convex_hull", "--contacts", "32", "96", "--samples", "1500", "--gallery", "1"]
+    assert main([str(data), "-o", str(output), *arguments]) == 0
+    said = capsys.readouterr().out
+    assert "IoU by category (protocol surface)" in said and "F-score at 1 % by category (protocol paper)" in said
+    assert "convex hull" in said and TRUTH in said
+    assert "(eq. 9)" in said and "longest side" in said and "strictly nearer" in said and "4 shapes" in said
+
+    rows = results(output)
+    assert len(rows) == 4 * (1 + 2 * 2)  # the truth, and two trajectories with two numbers of contacts
+    hulls = [row for row in rows if row["method"] == "convex_hull" and row["contacts"] == "96"]
+    assert all(0.75 < float(row["iou"]) < 1 and row["watertight"] == "1.0" and row["empty"] == "0.0" for row in hulls)
+    truth = [row for row in rows if row["method"] == TRUTH]
+    assert all(float(row["iou"]) > 1 - 1e-9 and float(row["f_score_0.005"]) == 1 for row in truth)
+    assert all(0 < float(row["paper_f_score"]) <= 1 for row in truth)
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is not JSON")
+
+    report = json.loads((output / "report.json").read_text(), parse_constant=refuse)
+    assert report["command"].startswith("touchnet evaluate") and "--contacts 32 96" in report["command"]
+    assert report["versions"]["torch"] and report["settings"]["seed"] == 0 and len(report["results"]) == len(rows)
+    assert any("eq. 9" in line for line in report["definitions"])
+    mean = next(
+        s for s in report["summary"] if s["category"] == "mean" and s["measure"] == "iou" and s["contacts"] == 96
+    )
+    assert mean["low"] <= mean["value"] <= mean["high"] and mean["shapes"] == 4 and mean["results"] == 8
+    picture = np.asarray(Image.open(output / "gallery.png"))
+    assert picture.shape[1] > 3 * command.TILE and picture.shape[0] > 2 * command.TILE
+    assert not list(output.rglob("*.part*"))
+
+
+def test_more_contacts_are_better_and_two_processes_change_nothing(data: Path, tmp_path: Path) -> None:
+    summary = evaluate(config(data, tmp_path / "one"))
+    iou = {s.contacts: s.value for s in summary if s.category == "mean" and s.measure == "iou" and s.contacts}
+    assert iou[TOUCHES] > iou[32] + 0.05
+    evaluate(config(data, tmp_path / "two", jobs=2))
+    assert results(tmp_path / "one") == results(tmp_path / "two")
+
+
+def test_a_method_without_a_surface_counts_as_empty(data: Path, tmp_path: Path, calls) -> None:
+    summary = evaluate(config(data, tmp_path, methods=("model",), trajectories=1, normals="with", gallery=1))
+    assert sorted(set(calls)) == [(32, True), (TOUCHES, True)]
+    failed = [row for row in results(tmp_path) if row["method"] == "model" and row["contacts"] == "32"]
+    assert len(failed) == 4
+    for row in failed:
+        assert row["note"] == "no surface at level 0.5" and row["empty"] == "1.0" and row["paper_empty"] == "1.0"
+        assert float(row["iou"]) == 0 and row["chamfer"] == "inf" and float(row["paper_f_score"]) == 0
+    few = {s.measure: s for s in summary if s.contacts == 32 and s.category == "mean"}
+    assert few["chamfer"].value is None and few["chamfer"].low is None and few["iou"].value == 0
+    assert few["iou"].empty == few["iou"].results == few["paper_f_score"].empty == 4
+    assert "4/4" in command.tables(summary, ("surface", "paper"))
+
+
+def test_resume_goes_on_after_a_kill(data: Path, tmp_path: Path, calls) -> None:
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    evaluate(config(data, whole, methods=("model",)))
+    assert len(calls) == 4 * 2 * 2 * 2
+    evaluate(config(data, broken, methods=("model",), limit=1))
+    progress = broken / "progress.jsonl"
+    progress.write_text(progress.read_text()[:-40])  # killed while writing the last line
+    calls.clear()
+    evaluate(config(data, broken, methods=("model",), resume=True))
+    assert len(calls) == 2 * 2 * 2 * 2 + 1
+    assert results(whole) == results(broken)
+    calls.clear()
+    evaluate(config(data, broken, methods=("model", "convex_hull"), resume=True))  # only the new method runs
+    assert calls == [] and {row["method"] for row in results(broken)} == {TRUTH, "model", "convex_hull"}
+    evaluate(config(data, broken, methods=("model",), weights="others", resume=True))  # other weights: all anew
+    assert len(calls) == 4 * 2 * 2 * 2
+
+
+def test_results_are_neither_mixed_nor_overwritten_unasked(data: Path, tmp_path: Path, capsys) -> None:
+    evaluate(config(data, tmp_path, limit=1, contacts=(TOUCHES,), trajectories=1))
+    before = (tmp_path / "progress.jsonl").read_bytes()
+    capsys.readouterr()
+    assert main([str(data), "-o", str(tmp_path), "--methods", "convex_hull"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "--resume goes on with them, --force replaces them" in error
+    arguments = ["--methods", "convex_hull", "--contacts", "96", "--samples", "1700", "--resume"]
+    assert main([str(data), "-o", str(tmp_path), *arguments]) == 2
+    assert "was written with another samples; --force starts anew" in capsys.readouterr().err
+    assert (tmp_path / "progress.jsonl").read_bytes() == before
+    evaluate(config(data, tmp_path, limit=1, contacts=(32,), trajectories=1, force=True))
+    assert {row["contacts"] for row in results(tmp_path)} == {"0", "32"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--contacts", "200"], "contacts must be at most 96, which the data set stores, got 200"),
+        (["--contacts", "0"], "contacts must be at least 1, got 0"),
+        (["--split", "val"], "has no shape in split 'val'"),
+        (["--categories", "tree"], "categories should be out of ball, box, got tree"),
+        (["--jobs", "0"], "jobs must be at least 1, got 0"),
+        (["--methods", "magic"], "magic"),
+        (["--methods", "model", "--weights", "missing.safetensors"], "missing.safetensors"),
+    ],
+)
+def test_what_cannot_be_asked_is_one_line(data: Path, tmp_path: Path, capsys, arguments: list[str], words: str) -> None:
+    assert main([str(data), "-o", str(tmp_path / "out"), "--methods", "convex_hull", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.strip().count("\n") == 0 and "Traceback" not in error
+    assert not (tmp_path / "out" / "results.csv").exists()
+
+
+def test_a_folder_that_is_no_data_set_is_one_line(tmp_path: Path, capsys) -> None:
+    assert main([str(tmp_path), "-o", str(tmp_path / "out")]) == 2
+    assert "is not a data set: no dataset.json in it" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_which_reconstructions_are_asked(tmp_path: Path) -> None:
+    asked = config(Path(), tmp_path, methods=("model", "convex_hull", "poisson"), contacts=(8,), trajectories=3)
+    tasks = tasks_of(asked, 2)
+    assert tasks[0] == Task(TRUTH, 0, 0, False)
+    assert [t.normals for t in tasks if t.method == "model"] == [True, False] * 2
+    # The hull never takes normals and Poisson always does, so each runs once a trajectory.
+    assert [t for t in tasks if t.method == "convex_hull"] == [Task("convex_hull", k, 8, False) for k in (0, 1)]
+    assert [t for t in tasks if t.method == "poisson"] == [Task("poisson", k, 8, True) for k in (0, 1)]
+    without = tasks_of(dataclasses.replace(asked, normals="without"), 4)
+    assert [t.trajectory for t in without if t.method == "model"] == [0, 1, 2]
+    assert not any(t.normals for t in without if t.method == "model")
+
+
+def test_summary_by_hand() -> None:
+    def row(shape: str, trajectory: int, iou: float, chamfer: float) -> dict[str, object]:
+        category = shape.split("/")[0]
+        return {
+            "shape": shape, "category": category, "method": "m", "trajectory": trajectory, "contacts": 8,
+            "normals": True, "iou": iou, "chamfer": chamfer, "empty": float(np.isinf(chamfer)),
+        }  # fmt: skip
+
+    rows = [
+        row("a/1", 0, 0.2, 1.0),
+        row("a/1", 1, 0.4, 3.0),  # shape a/1: 0.3, 2
+        row("a/2", 0, 0.9, np.inf),  # empty
+        row("b/1", 0, 0.5, 4.0),
+    ]
+    found = {(s.category, s.measure): s for s in summarise(rows, ["iou", "chamfer"], seed=0)}
+    assert found["a", "iou"].value == pytest.approx(0.6)
+    assert found["mean", "iou"].value == pytest.approx((0.6 + 0.5) / 2)
+    assert (found["a", "iou"].low, found["a", "iou"].high) == pytest.approx((0.3, 0.9))
+    assert found["b", "iou"].low is None  # a single shape has no spread
+    assert (found["mean", "iou"].low, found["mean", "iou"].high) == pytest.approx((0.4, 0.7))
+    assert found["a", "chamfer"].value == pytest.approx(2) and found["mean", "chamfer"].value == pytest.approx(3)
+    assert (found["a", "chamfer"].shapes, found["a", "chamfer"].results, found["a", "chamfer"].empty) == (2, 3, 1)
+    assert found["mean", "chamfer"].empty == 1 and found["mean", "chamfer"].shapes == 3
+
+
+def test_weights_from_a_file_are_evaluated(data: Path, tmp_path: Path) -> None:
+    """An untrained network has no useful surface, but every row is there and its numbers are defined."""
+    torch.manual_seed(0)
+    file = tmp_path / "weights.safetensors"
+    save_weights(TouchNet(ModelConfig()).eval(), file)
+    asked = config(
+        data, tmp_path / "out", methods=("model",), weights=str(file), contacts=(TOUCHES,), trajectories=1, limit=1,
+        resolution=16, device="cpu",
+    )  # fmt: skip
+    evaluate(asked)
+    rows = [row for row in results(tmp_path / "out") if row["method"] == "model"]
+    assert len(rows) == 4 and {row["normals"] for row in rows} == {"True", "False"}
+    for row in rows:
+        assert 0 <= float(row["iou"]) <= 1 and len(row["weights"]) == 16
+        assert all(row[name] != "" for name in result_keys(asked) if name != "seconds")
