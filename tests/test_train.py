@@ -208,6 +208,13 @@ def test_batches_cover_each_epoch_and_do_not_depend_on_where_they_start_or_on_pr
         StepBatches(10, 4, seed=1, start=0, steps=9, rank=0, world=3)
 
 
+def test_weighted_batches_draw_in_proportion():
+    weights = np.array([1.0, 1.0, 8.0])
+    batches = StepBatches(3, 3, seed=0, start=0, steps=400, rank=0, world=1, weights=weights)
+    items = [item for batch in batches for _, item in batch]
+    assert np.bincount(items) / len(items) == pytest.approx([0.1, 0.1, 0.8], abs=0.04)
+
+
 def test_learning_rates():
     paper = [learning_rate(step, 400, 2, 1e-4, "multistep") for step in (0, 99, 100, 199, 200)]
     assert paper == [1e-4, 1e-4, 5e-5, 5e-5, 2.5e-5]

@@ -52,7 +52,7 @@ def model_config_from_dict(values: dict) -> ModelConfig:
 class SampleConfig:
     """How one training sample is drawn from a shape: touches, query points, augmentation (together for both)."""
 
-    queries: int = 2048
+    queries: int = 8192
     """Labelled query points of a sample."""
     near_share: float = 0.5
     """Share of the queries that lie near the surface; the others are uniform: in the shape's box and in the cube."""

@@ -52,6 +52,7 @@ class Recipe:
     weight_decay: float
     schedule: Literal["cosine", "multistep", "constant"]
     average: float
+    balance: float
     precision: Literal["no", "bf16"]
     steps: int | None = None
     epochs: int | None = None
@@ -60,11 +61,11 @@ class Recipe:
 RECIPES = {
     "default": Recipe(
         model=MODELS["base"], samples=SampleConfig(), loss="cross_entropy", batch_size=4, learning_rate=2e-3,
-        weight_decay=0.01, schedule="cosine", average=0.998, precision="no", steps=3000,
+        weight_decay=0.01, schedule="cosine", average=0.998, balance=0.5, precision="no", steps=3000,
     ),
     "paper": Recipe(
         model=MODELS["paper"], samples=PAPER_SAMPLES, loss="squared", batch_size=4, learning_rate=1e-4,
-        weight_decay=0.0, schedule="multistep", average=0.0, precision="no", epochs=200,
+        weight_decay=0.0, schedule="multistep", average=0.0, balance=0.0, precision="no", epochs=200,
     ),
 }  # fmt: skip
 
@@ -95,6 +96,9 @@ class TrainConfig:
     """cosine: warm-up, then down to 1 % at the last step; multistep: halved every 50 epochs (recipe paper)."""
     loss: Loss | None = None
     """cross_entropy (recipe default) or squared (recipe paper, eq. 5)."""
+    balance: float | None = None
+    """0: every shape equally often (recipe paper); 1: every category equally often; between: a shape is drawn in
+    proportion to the size of its category to the power -balance (recipe default: 0.5)."""
     precision: Literal["no", "bf16"] | None = None
     """no: all in float32 (both recipes); bf16: convolutions in bfloat16, weights and updates in float32, which pays on
     processors with bfloat16 matrix units."""
@@ -138,17 +142,27 @@ class Step(nn.Module):
 class StepBatches(Sampler[list[tuple[int, int]]]):
     """The (epoch, item) keys of each step's batch from step `start` to `steps`, this process's share of them.
 
-    Every epoch is a permutation keyed by (seed, epoch). Its last batch is filled from its beginning, so that all batches
-    have one size (batch norm then never meets a single sample).
+    Every epoch is a permutation keyed by (seed, epoch), or with `weights` (items,) as many draws in proportion to them.
+    Its last batch is filled from its beginning, so that all have one size (batch norm never meets a single sample).
     """
 
     def __init__(
-        self, items: int, batch_size: int, *, seed: int, start: int, steps: int, rank: int, world: int
+        self,
+        items: int,
+        batch_size: int,
+        *,
+        seed: int,
+        start: int,
+        steps: int,
+        rank: int,
+        world: int,
+        weights: np.ndarray | None = None,
     ) -> None:
         if batch_size % world:
             raise ValueError(f"batch_size should be a multiple of the {world} processes, got {batch_size}")
         self.items, self.batch_size, self.seed = items, batch_size, seed
         self.start, self.steps, self.rank, self.world = start, steps, rank, world
+        self.shares = None if weights is None else weights / weights.sum()
 
     def __len__(self) -> int:
         return self.steps - self.start
@@ -157,7 +171,11 @@ class StepBatches(Sampler[list[tuple[int, int]]]):
         per_epoch = steps_per_epoch(self.items, self.batch_size)
         for step in range(self.start, self.steps):
             epoch, batch = divmod(step, per_epoch)
-            order = np.random.default_rng([self.seed, epoch]).permutation(self.items)
+            rng = np.random.default_rng([self.seed, epoch])
+            if self.shares is None:
+                order = rng.permutation(self.items)
+            else:
+                order = rng.choice(self.items, size=self.items, p=self.shares)
             order = np.resize(order, per_epoch * self.batch_size)
             rows = order[batch * self.batch_size : (batch + 1) * self.batch_size]
             yield [(epoch, int(item)) for item in rows[self.rank :: self.world]]
@@ -249,6 +267,7 @@ def train(config: TrainConfig) -> dict[str, float]:
     batches = StepBatches(
         len(samples), recipe.batch_size, seed=config.seed, start=start, steps=steps,
         rank=accelerator.process_index, world=accelerator.num_processes,
+        weights=samples.weights(recipe.balance) if recipe.balance else None,
     )  # fmt: skip
     loader = DataLoader(samples, batch_sampler=batches, num_workers=config.workers)
     log = Log(config, recipe, steps=steps, start=start, shapes=len(samples.data)) if main else None
@@ -310,7 +329,7 @@ def train(config: TrainConfig) -> dict[str, float]:
 def resolve_recipe(config: TrainConfig) -> Recipe:
     """The recipe with the options that were given in place of its defaults."""
     recipe = RECIPES[config.recipe]
-    names = ("batch_size", "learning_rate", "schedule", "loss", "precision", "samples")
+    names = ("batch_size", "learning_rate", "schedule", "loss", "balance", "precision", "samples")
     given = {name: getattr(config, name) for name in names if getattr(config, name) is not None}
     if config.model is not None:
         given["model"] = MODELS[config.model]

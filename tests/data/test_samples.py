@@ -153,7 +153,7 @@ def test_queries_are_complete_where_the_touches_see_a_corner_only():
     wedge.stored["touches"] = wedge.stored["touches"][:, :64] * 0.02 + np.float32(0.3)
     wedge.stored["touch_normals"] = wedge.stored["touch_normals"][:, :64]
     sample = draw(STILL, shapes=Shapes(wedge))
-    assert sample.queries.shape == (2048, 3) and np.abs(sample.queries).max() <= 1
+    assert sample.queries.shape == (8192, 3) and np.abs(sample.queries).max() <= 1
 
 
 def test_a_touch_that_is_not_finite_is_named():
@@ -161,6 +161,16 @@ def test_a_touch_that_is_not_finite_is_named():
     wedge.stored["touches"][0, 3, 1] = np.nan
     with pytest.raises(ValueError, match="shape wedge/0: its touches hold values that are not finite"):
         draw(dataclasses.replace(STILL, min_contacts=2048), shapes=Shapes(wedge))
+
+
+def test_weights_balance_categories():
+    shapes = Shapes(Wedge(), Wedge(), Wedge(), Wedge(trajectories=4))
+    for record, category in zip(shapes.records, "aabb", strict=True):
+        record.category = category
+    samples = TrainingSamples(shapes, SampleConfig())
+    assert samples.weights(0).tolist() == [1] * 10
+    assert samples.weights(1) == pytest.approx([1 / 4] * 4 + [1 / 6] * 6)
+    assert samples.weights(0.5) == pytest.approx([1 / 2] * 4 + [6**-0.5] * 6)
 
 
 def test_no_shapes_is_an_error():

@@ -42,6 +42,12 @@ class TrainingSamples(Dataset):
     def __len__(self) -> int:
         return len(self._items)
 
+    def weights(self, balance: float) -> np.ndarray:
+        """Of each item (len,): the number of items in its category to the power -balance."""
+        categories = np.array([record.category for record in self.data.records])[self._items]
+        names, counts = np.unique(categories, return_counts=True)
+        return counts[np.searchsorted(names, categories)] ** -float(balance)
+
     def __getitem__(self, key: tuple[int, int]) -> Sample:
         epoch, item = key
         rng = np.random.default_rng([self.seed, epoch, item])
