@@ -12,7 +12,7 @@ import trimesh
 from PIL import Image
 
 from touchnet import evaluate as command
-from touchnet.config import ModelConfig
+from touchnet.config import MODELS
 from touchnet.data.dataset import Index, ShapeRecord, write_index, write_shape
 from touchnet.evaluate import TRUTH, EvaluateConfig, Method, Task, evaluate, main, result_keys, summarise, tasks_of
 from touchnet.metrics import inside_mesh, sample_surface
@@ -249,7 +249,7 @@ def test_weights_from_a_file_are_evaluated(data: Path, tmp_path: Path) -> None:
     """An untrained network has no useful surface, but every row is there and its numbers are defined."""
     torch.manual_seed(0)
     file = tmp_path / "weights.safetensors"
-    save_weights(TouchNet(ModelConfig()).eval(), file)
+    save_weights(TouchNet(MODELS["tiny"]).eval(), file)
     asked = config(
         data, tmp_path / "out", methods=("model",), weights=str(file), contacts=(TOUCHES,), trajectories=1, limit=1,
         resolution=16, device="cpu",
