@@ -50,10 +50,10 @@ def simulate_touches(
     seed: int = 0,
     start: ArrayLike | None = None,
     strategy: Strategy = "gp",
-    step: float | tuple[float, float] = 0.035,
+    step: float | tuple[float, float] | None = None,
     stroke_length: int | None = None,
     max_strokes: int | None = None,
-    stop: float = 0.3,
+    stop: float = 0.4,
     kernel: KernelName = "matern32",
     length_scale: float = 0.15,
     noise: float = 1e-3,
@@ -78,8 +78,9 @@ def simulate_touches(
             "random_walk" slides with a heading that wanders, and restarts anywhere; "scan_lines" follows the
             contours of equally spaced parallel planes, across the longest side; "uniform" touches independent random
             points, each a stroke of its own.
-        step: distance of consecutive contacts of a stroke, or (low, high) between which each step is drawn.
-            "scan_lines" spaces the planes so that n contacts with this step cover them all.
+        step: distance of consecutive contacts of a stroke, or (low, high) between which each step is drawn. None:
+            sqrt(area / n), the spacing of n contacts spread evenly over the surface, but at most 0.1.
+            "scan_lines" spaces its planes so that n contacts with this step cover them all.
         stroke_length: most contacts of a stroke; None: 32, or n / max_strokes where that is more. ("gp" and
             "random_walk".)
         max_strokes: the exploration ends after so many strokes, with fewer than n contacts if need be.
@@ -99,8 +100,8 @@ def simulate_touches(
         TypeError: mesh is not a trimesh.Trimesh.
         ValueError: an argument is out of range, the mesh has no face with an area, or no contact is reachable.
     """
-    low_step, high_step = (float(s) for s in (step if isinstance(step, tuple) else (step, step)))
     _check(n >= 1, "n", "at least 1", n)
+    low_step, high_step = (0.1, 0.1) if step is None else step if isinstance(step, tuple) else (step, step)
     _check(0 < low_step <= high_step <= 1, "step", "in (0, 1], or 0 < low ≤ high ≤ 1", step)
     _check(stroke_length is None or stroke_length >= 1, "stroke_length", "None or at least 1", stroke_length)
     _check(max_strokes is None or max_strokes >= 1, "max_strokes", "None or at least 1", max_strokes)
@@ -113,7 +114,10 @@ def simulate_touches(
     _check(strategy in get_args(Strategy), "strategy", f"one of {', '.join(get_args(Strategy))}", strategy)
 
     rng = np.random.default_rng(seed)
-    finger = _Finger(_Surface(mesh), finger_radius, _forbidden(unreachable))
+    surface = _Surface(mesh)
+    if step is None:
+        low_step = high_step = min(0.1, math.sqrt(float(surface.areas.sum()) / n))
+    finger = _Finger(surface, finger_radius, _forbidden(unreachable))
     record = _Record(n, GaussianProcess(kernel, length_scale=length_scale, noise=noise), rng)
     record.position_noise, record.normal_noise, record.dropout = position_noise, math.radians(normal_noise), dropout
     if strategy == "uniform":
@@ -121,7 +125,7 @@ def simulate_touches(
     elif strategy == "scan_lines":
         _scan_lines(finger, record, n, (low_step + high_step) / 2, max_strokes)
     else:
-        first = None if start is None else finger.nearest(finger.surface.from_mesh(_point(start, "start")))
+        first = None if start is None else finger.nearest(surface.from_mesh(_point(start, "start")))
         limit = stroke_length or max(32, -(-n // max_strokes) if max_strokes else 0)
         steer = _UpTheVariance(length_scale, rng) if strategy == "gp" else _Wander(rng)
         if strategy == "random_walk":
@@ -147,7 +151,7 @@ def simulate_touches(
                     break
                 contact = following
             stroke += 1
-    return record.touches(finger.surface)
+    return record.touches(surface)
 
 
 def coverage(
@@ -545,7 +549,8 @@ def _scan_lines(finger: _Finger, record: _Record, n: int, step: float, max_strok
 def _free_variance(kernel: KernelName, length_scale: float, noise: float, step: float) -> float:
     """The variance that a straight stroke finds at its next contact when nothing else was touched."""
     gp = GaussianProcess(kernel, length_scale=length_scale, noise=noise)
-    line = np.arange(17)[:, None] * [min(step, length_scale / 17), 0.0, 0.0]
+    behind = 16 if kernel != "thin_plate" else max(1, min(16, int(length_scale / step)))  # within R
+    line = np.arange(behind + 1)[:, None] * [step, 0.0, 0.0]
     gp.add(line[:-1])
     return float(gp.variance(line[-1:])[0])
 
