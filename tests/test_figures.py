@@ -8,7 +8,8 @@ import trimesh
 from PIL import Image
 from scipy.ndimage import label
 
-from touchnet.figures import View, draw_mesh, draw_touches, save_gallery
+from touchnet.data import Touches
+from touchnet.figures import View, draw_mesh, draw_touches, save_exploration, save_gallery
 
 
 def ball(radius: float, centre: tuple[float, float, float] = (0, 0, 0)) -> trimesh.Trimesh:
@@ -134,3 +135,21 @@ def test_a_gallery_that_fails_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(FileNotFoundError, match="does not exist"):
         save_gallery(tmp_path / "missing" / "gallery.png", [(ball(0.4),)], size=16)
+
+
+def test_an_exploration_leaves_its_trace_and_makes_the_surface_known(tmp_path: Path) -> None:
+    mesh = ball(0.5)
+    points = np.array(mesh.vertices)[::10][:64]  # all around
+    touches = Touches(points, points / 0.5, np.arange(64) // 16, np.ones(64))
+    file = tmp_path / "exploration.png"
+    save_exploration(file, mesh, touches, counts=(1, 64), size=64)
+    picture = np.asarray(Image.open(file)).astype(int)
+    assert picture.shape[1] == 2 + 2 * 66
+    unknown, known = picture[-66:-2, 2:66], picture[-66:-2, 68:132]
+    # viridis: yellow (red > blue) where nothing is known, violet (blue > red) where all is.
+    yellow = [(tile[..., 0] > tile[..., 2] + 20).mean() for tile in (unknown, known)]
+    assert yellow[0] > 1.15 * yellow[1]
+    with pytest.raises(ValueError, match=r"counts must ascend from at least 1 to at most 64, got \[8, 8\]"):
+        save_exploration(file, mesh, touches, counts=(8, 8))
+    with pytest.raises(ValueError, match="at least one contact"):
+        save_exploration(file, mesh, Touches(points[:0], points[:0], np.zeros(0, dtype=int), np.zeros(0)))

@@ -3,6 +3,7 @@
 Up is +y, as in the model's cube. The camera is orthographic.
 """
 
+import itertools
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -14,9 +15,11 @@ from matplotlib import colormaps, font_manager
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import gaussian_filter
+from scipy.spatial import cKDTree
 
 from touchnet.cli import atomic_output
-from touchnet.metrics import is_closed
+from touchnet.data import GaussianProcess, Touches
+from touchnet.metrics import is_closed, sample_surface
 from touchnet.raster import cover
 
 Picture = NDArray[np.uint8]  # (H, W, 3)
@@ -311,6 +314,62 @@ def save_gallery(
                 sheet.paste(Image.fromarray(picture), corner)
     with atomic_output(Path(path), force=True) as temporary:
         sheet.save(temporary, format="PNG")
+
+
+def save_exploration(
+    path: str | os.PathLike[str],
+    mesh: trimesh.Trimesh,
+    touches: Touches,
+    *,
+    counts: Sequence[int] | None = None,
+    gp: GaussianProcess | None = None,
+    size: int = 256,
+) -> None:
+    """Writes a PNG of an exploration as it goes on (as figure 4 of the paper): contacts, and what is still unknown.
+
+    The upper row shows the contacts so far on the mesh, coloured by their order; the lower row the surface coloured by
+    the posterior variance, from dark (known) to light (nothing known).
+
+    Args:
+        path: of the file, which appears whole or not at all.
+        mesh: that was touched.
+        touches: contacts in order, in the frame of the mesh.
+        counts: numbers of contacts to show, ascending; by default a 64th, a 16th, a quarter and all of them.
+        gp: an empty Gaussian process to which the contacts are added; by default one like the exploration's.
+        size: pixels a side of a tile.
+
+    Raises:
+        ValueError: no contacts, or counts that are not ascending within their number.
+    """
+    n = len(touches.points)
+    if n == 0:
+        raise ValueError("touches must hold at least one contact, got none")
+    counts = sorted({max(1, n // part) for part in (64, 16, 4, 1)}) if counts is None else list(counts)
+    if not counts or counts[0] < 1 or counts[-1] > n or any(b <= a for a, b in itertools.pairwise(counts)):
+        raise ValueError(f"counts must ascend from at least 1 to at most {n}, got {counts}")
+    longest = float(mesh.extents.max())
+    gp = gp or GaussianProcess("matern32", length_scale=0.15 * longest)
+    # The variance changes over a few hundredths of the side: large faces are cut up to show it, and it is
+    # interpolated from a few thousand places to the vertices.
+    vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, 0.04 * longest, max_iter=12)
+    fine = trimesh.Trimesh(vertices, faces, process=False)
+    places, _ = sample_surface(fine, 4000, generator=np.random.default_rng(0))
+    distance, near = cKDTree(places).query(fine.vertices, k=3)
+    weights = 1 / (distance + 1e-3 * longest)
+    weights /= weights.sum(axis=1, keepdims=True)
+
+    view = View.of(mesh.vertices)
+    above, below, known = [], [], 0
+    for count in counts:
+        gp.add(touches.points[known:count])
+        known = count
+        order = np.arange(count)
+        above.append(draw_touches(touches.points[:count], size=size, view=view, values=order, mesh=mesh, limits=(0, n)))
+        values = (gp.variance(places)[near] * weights).sum(axis=1)
+        below.append(draw_mesh(fine, size=size, view=view, values=values, limits=(0, 1)))
+    strokes = [len(np.unique(touches.strokes[:count])) for count in counts]
+    titles = [f"contacts: {count}, strokes: {stroke}" for count, stroke in zip(counts, strokes, strict=True)]
+    save_gallery(path, [("contacts, by order", *above), ("variance", *below)], titles=titles, size=size)
 
 
 def draw_row(
