@@ -310,7 +310,8 @@ def train(config: TrainConfig) -> dict[str, float]:
                 bar.set_postfix(loss=f"{mean:.4f}", epoch=f"{done / per_epoch:.1f}")
             if main and (done == steps or stop or done % config.checkpoint_every == 0):
                 save_checkpoint(checkpoint, network, average, optimizer, recipe, done)
-                save_weights(average.network, config.output / "weights.safetensors")
+                # Half precision is what ships; the checkpoint keeps what training goes on with.
+                save_weights(average.network, config.output / "weights.safetensors", half=True)
             if main and len(held_out) and not stop and (done == steps or done % config.validate_every == 0):
                 figures = validate(average.network, held_out, accelerator.device, recipe.precision)
                 log.write(done, figures)
