@@ -16,17 +16,9 @@ import trimesh
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 
-from touchnet.data.files import (
-    MESH_SUFFIXES,
-    POINT_SUFFIXES,
-    Points,
-    _lzf,
-    check_float32,
-    read_mesh,
-    read_points,
-    split_strokes,
-    write_mesh,
-)
+from touchnet.data.files import MESH_SUFFIXES, Points, check_float32, read_mesh, read_points, split_strokes, write_mesh
+from touchnet.data.readers.pcd import decompress_lzf
+from touchnet.data.readers.rows import POINT_SUFFIXES
 from touchnet.meshes import check_closed
 
 XYZ = np.array([[0.5, -1.25, 2.0], [1e-3, 4.0, -0.75], [3.0, 0.0, 7.5], [-2.5, 1.0, 0.125]])
@@ -187,6 +179,7 @@ def test_real_recording(shared_data):
         "".join(f"({a}, {b}, {c})\n" for a, b, c in XYZ),
         rows(np.hstack([XYZ, [[255, 0, 0]] * 4])),
         rows(np.hstack([XYZ, [[0.5]] * 4])),
+        rows(XYZ).replace("\n", " left wing\n"),
     ],
 )
 def test_text_dialects(tmp_path, text):
@@ -262,6 +255,7 @@ def test_an_interrupted_last_row_is_dropped(tmp_path):
         ("a b c\nd e f\n1 2\n", r"line 3: expected at least 3 numbers"),
         ("5\n1 2 3\n4 5 6\n", r"announces 5 points in line 1, found 2"),
         ("0,145,0,345,0,139\n0,2,0,045,1,5\n", r"line 2: commas seem both to separate columns"),
+        ("1 " * 40_000, r"found a line of more than 65536 bytes"),
         ("0.5,1 2\n", r"line 1: expected at least 3 numbers"),
         ("Once upon a time\nthere was no cloud.\n", r"no points in this file: only words, such as 'Once upon a time'"),
     ],
@@ -276,7 +270,7 @@ def test_text_errors_are_one_line_and_say_where(tmp_path, text, message):
 
 def test_a_header_without_x_y_z(tmp_path):
     path = write(tmp_path, "touches.csv", "a,b,c\n" + rows(XYZ, ","))
-    with pytest.warns(UserWarning, match="names no x, y and z: columns 1-3 are taken"):
+    with pytest.warns(UserWarning, match="does not name x, y and z among 3 columns: columns 1-3 are taken"):
         assert np.array_equal(read_points(path).points, XYZ)
 
 
@@ -370,11 +364,11 @@ def test_ply(tmp_path, form, lists, kind):
     ("content", "message"),
     [
         (b"ply\nformat ascii 1.0\n", "expected a line end_header"),
-        (b"ply\nformat ascii 1.0\nend_header\n", "expected an element vertex, found no element"),
+        (b"ply\nformat ascii 1.0\nend_header\n", "expected an element vertex, found none"),
         (ply("ascii", [("vertex", [(c, "float") for c in "xyz"], [])]), r"no points in this file \(element vertex 0\)"),
         (b"ply\nformat ascii 1.0\nelement vertex -1\nend_header\n", "line 3: not a line of a PLY header"),
         (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty half x\nend_header\n", "line 4: not a line"),
-        (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", r"x, y, z, found \['x'\]"),
+        (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n", "x, y, z, found 'x'"),
         (b"ply\nformat text 1.0\nelement vertex 1\nend_header\n", "expected the format ascii or binary"),
         (b"plywood\n", "expected a PLY file, found one that starts with"),
         (ply("ascii", [("vertex", [(c, "float") for c in "xyz"], [(1.0, 2.0, 3.0)])]) + b"4 5 6\n", "found more"),
@@ -481,15 +475,15 @@ def test_pcd_that_would_explode(tmp_path):
         read_points(write(tmp_path, "touches.pcd", content))
 
 
-def test_lzf():
-    assert _lzf(memoryview(bytes([2]) + b"abc" + bytes([(4 << 5), 2])), 9, "f") == b"abcabcabc"
+def testdecompress_lzf():
+    assert decompress_lzf(memoryview(bytes([2]) + b"abc" + bytes([(4 << 5), 2])), 9, "f") == b"abcabcabc"
     plain = b"touch" + b"\0" * 900 + b"net" * 7
-    assert _lzf(memoryview(lzf_pack(plain)), len(plain), "f") == plain
+    assert decompress_lzf(memoryview(lzf_pack(plain)), len(plain), "f") == plain
     for packed in (bytes([40, 0]), bytes([3]) + b"ab", bytes([7 << 5]), bytes([0])):
         with pytest.raises(ValueError, match="damaged"):
-            _lzf(memoryview(packed), 9, "f")
+            decompress_lzf(memoryview(packed), 9, "f")
     with pytest.raises(ValueError, match="expected 9 bytes after decompression, found 1"):
-        _lzf(memoryview(b"\0a"), 9, "f")
+        decompress_lzf(memoryview(b"\0a"), 9, "f")
 
 
 # --- NumPy ----------------------------------------------------------------------------------------------------------
@@ -576,7 +570,7 @@ def zip_of(**members):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (npz(a=XYZ, b=XYZ), "expected an array named points, found a, b"),
+        (npz(a=XYZ, b=XYZ), "expected an array named points, found 'a, b'"),
         (npz(points=XYZ, normals=NORMALS[:2]), r"\[normals\]: expected shape \(4, 3\), found \(2, 3\)"),
         (npz(points=XYZ, strokes=np.zeros((4, 1))), r"\[strokes\]: expected shape \(4,\), found \(4, 1\)"),
         (zip_of(points_npy=b"PICKLE"), r"\[points\]: expected an NPY array, found b'PICKLE'"),
@@ -761,7 +755,7 @@ def test_the_snippets_of_the_page_run(tmp_path, monkeypatch, capsys):
 # --- damaged files --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("count", [100_000])
+@pytest.mark.parametrize("count", [60_000])
 @pytest.mark.parametrize("name", ["t.xyz", "t.ply", "t.pcd", "t.npy", "t.obj", "t.npz"])
 def test_memory_stays_below_ten_times_the_file(tmp_path, name, count):
     points = np.random.default_rng(0).integers(0, 9, size=(count, 3)).astype(np.float64)
@@ -818,6 +812,24 @@ SEEDS = {
     "b.stl": trimesh.creation.box().export(file_type="stl"),
     "t.glb": trimesh.creation.box().export(file_type="glb"),
 }
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"#\n\n" * 100_000 + b"1 2 3\n",
+        b" " * 60_000 + b"\n" + b"\t \n" * 100_000 + b"1 2 3\n",
+        b"[" * 60_000 + b"\n1 2 3\n",
+        b"ply\n" + b"comment\n" * 100_000 + b"end_header",
+        b"VERSION 0.7\n" + b" " * 500_000,
+        b"x,y,z\n" + b"," * 60_000,
+        b"1,2,3,4,5,6\n" * 50_000 + b"  ,,,0",
+    ],
+)
+def test_hostile_text_does_not_hang(tmp_path, content):
+    # Fractions of a second; what grew with the square of the size, or worse, would not end.
+    read_or_refuse(write(tmp_path, "t.txt", content))
+
 
 TOKENS = [
     b"nan",
@@ -891,7 +903,7 @@ def test_the_seeds_are_read_right(tmp_path, name):
 
 
 @seed(0)
-@settings(max_examples=600, deadline=None, database=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=400, deadline=None, database=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(name=st.sampled_from(sorted(SEEDS)), edits=EDITS)
 def test_damaged_files_are_read_or_refused(tmp_path, name, edits):
     read_or_refuse(write(tmp_path, name, damaged(SEEDS[name], edits)))
