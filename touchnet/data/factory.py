@@ -7,12 +7,13 @@ import re
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import joblib
 import numpy as np
+import safetensors
 import trimesh
 from numpy.typing import NDArray
 from tqdm import tqdm
@@ -20,6 +21,7 @@ from tqdm import tqdm
 from touchnet.data.dataset import (
     INDEX,
     SPLITS,
+    TENSORS,
     Index,
     ShapeFile,
     ShapeRecord,
@@ -109,8 +111,9 @@ def build(
 
     Shapes already there with the same seed, parameters and stamp are kept, so a run that was killed goes on where it
     was; `dataset.json` is brought up to date every few seconds, so others may read while the run goes on. The train
-    split comes first, in an order mixed over the categories. A mesh that cannot be used is listed under failures with
-    the reason, and skipped. Bytes depend on the seed, parameters and mesh alone, never on `jobs`.
+    split comes first, in an order mixed over the categories. Shapes that only lack trajectories get the missing ones. A
+    mesh that cannot be used is listed under failures with the reason, and skipped. Bytes depend on the seed, parameters
+    and mesh alone, never on `jobs`.
 
     Parallel work goes through joblib: `with joblib.parallel_config(backend="dask"): build(...)` runs it on a cluster.
 
@@ -183,24 +186,14 @@ def make_shape(source: MeshSource, parameters: Parameters, seed: int) -> tuple[d
     if not report.closed or report.volume <= 0:
         raise ValueError(f"the closed mesh ({how}) has {report.open_edges} open edges and volume {report.volume:.3g}")
 
-    surface_seed, near_seed, box_seed, *touch_seeds = np.random.SeedSequence([seed, _hash(source.id)]).spawn(
-        3 + parameters.trajectories
-    )
+    surface_seed, near_seed, box_seed = _seeds(source, seed, 3)
     surface = sample_surface(mesh, parameters.surface, np.random.default_rng(surface_seed))
     near = label_near(mesh, parameters.near, np.random.default_rng(near_seed), sigmas=parameters.sigmas)
     box = label_box(mesh, parameters.box, np.random.default_rng(box_seed))
-    runs = [
-        simulate_touches(mesh, parameters.touches, seed=int(one.generate_state(1, np.uint64)[0] >> 1))
-        for one in touch_seeds
-    ]
-    shape = (parameters.trajectories, parameters.touches)
     tensors = {
         "vertices": vertices,
         "faces": np.asarray(closed.faces, dtype=np.int32),
-        "touches": np.array([run.points for run in runs], dtype=np.float32).reshape(*shape, 3),
-        "touch_normals": np.array([run.normals for run in runs], dtype=np.float16).reshape(*shape, 3),
-        "strokes": np.array([run.strokes for run in runs], dtype=np.int16).reshape(shape),
-        "variance": np.array([run.variance for run in runs], dtype=np.float32).reshape(shape),
+        **_touch(mesh, source, parameters, seed, 0),
         "near": near.points,
         "near_inside": np.packbits(near.inside),
         "box": box.points,
@@ -222,6 +215,49 @@ def make_shape(source: MeshSource, parameters: Parameters, seed: int) -> tuple[d
         "box_inside": str(int(box.inside.sum())),
         "notes": "; ".join(str(one.message) for one in said),
     }
+    return tensors, metadata
+
+
+def _seeds(source: MeshSource, seed: int, count: int) -> list[np.random.SeedSequence]:
+    """The first `count` streams of random numbers of a shape: surface, near, box, then one a trajectory."""
+    return np.random.SeedSequence([seed, _hash(source.id)]).spawn(count)
+
+
+def _touch(
+    mesh: trimesh.Trimesh, source: MeshSource, parameters: Parameters, seed: int, first: int
+) -> dict[str, NDArray[Any]]:
+    """The tensors of the trajectories from number `first` on."""
+    streams = _seeds(source, seed, 3 + parameters.trajectories)[3 + first :]
+    runs = [
+        simulate_touches(mesh, parameters.touches, seed=int(stream.generate_state(1, np.uint64)[0] >> 1))
+        for stream in streams
+    ]
+    shape = (len(runs), parameters.touches)
+    return {
+        "touches": np.array([run.points for run in runs], dtype=np.float32).reshape(*shape, 3),
+        "touch_normals": np.array([run.normals for run in runs], dtype=np.float16).reshape(*shape, 3),
+        "strokes": np.array([run.strokes for run in runs], dtype=np.int16).reshape(shape),
+        "variance": np.array([run.variance for run in runs], dtype=np.float32).reshape(shape),
+    }
+
+
+def _begun(
+    path: Path, source: MeshSource, parameters: Parameters, seed: int
+) -> tuple[dict[str, NDArray[Any]], dict[str, str]] | None:
+    """The shape that lies at `path` with the trajectories it lacks added, if it is the same in all else."""
+    try:
+        file = ShapeFile(path)
+        found = file.shape("touches")[0]
+        same = fingerprint(source, replace(parameters, trajectories=found), seed)
+        with safetensors.safe_open(path, framework="numpy") as opened:
+            metadata = dict(opened.metadata() or {})
+        if found >= parameters.trajectories or metadata.get("fingerprint") != same:
+            return None
+        tensors = {name: file.array(name) for name in TENSORS}
+    except (OSError, ValueError):
+        return None
+    for name, more in _touch(file.mesh(), source, parameters, seed, found).items():
+        tensors[name] = np.concatenate([tensors[name], more])
     return tensors, metadata
 
 
@@ -257,7 +293,12 @@ def _existing(directory: Path, parameters: Parameters, seed: int, overwrite: boo
         return []
     index = read_index(directory)
     wanted = parameters.as_json()
-    other = [f"{k} {index.parameters.get(k)}, not {v}" for k, v in wanted.items() if index.parameters.get(k) != v]
+    found = index.parameters
+    other = [
+        f"{k} {found.get(k)}, not {v}"
+        for k, v in wanted.items()
+        if found.get(k) != v and not _fewer(k, found.get(k), v)
+    ]
     if index.seed != seed:
         other.append(f"seed {index.seed}, not {seed}")
     if not other:
@@ -267,6 +308,11 @@ def _existing(directory: Path, parameters: Parameters, seed: int, overwrite: boo
             f"{directory} holds a data set made with {'; '.join(other)}: choose another folder or overwrite"
         )
     return []
+
+
+def _fewer(name: str, found: Any, wanted: Any) -> bool:
+    """Whether all that lacks is trajectories, which can be added."""
+    return name == "trajectories" and isinstance(found, int) and found < wanted
 
 
 def _finished(directory: Path, source: MeshSource, wanted: str) -> ShapeRecord | None:
@@ -303,12 +349,12 @@ def _outcomes(
 
 def _make(source: MeshSource, directory: Path, parameters: Parameters, seed: int, wanted: str) -> ShapeRecord | Failure:
     try:
-        tensors, metadata = make_shape(source, parameters, seed)
+        path = directory / _file(source)
+        tensors, metadata = _begun(path, source, parameters, seed) or make_shape(source, parameters, seed)
     except (ValueError, OSError, MemoryError, ArithmeticError, LookupError) as error:
         return Failure(source.id, " ".join(f"{error or type(error).__name__}".split()))
-    file = _file(source)
-    checksum = write_shape(directory / file, tensors, {**metadata, "fingerprint": wanted})
-    return _record(source, file, checksum)
+    checksum = write_shape(path, tensors, {**metadata, "fingerprint": wanted})
+    return _record(source, _file(source), checksum)
 
 
 def _hash(text: str) -> int:

@@ -8,10 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 import point_cloud_utils as pcu
+import torch
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage, sparse
-from skimage import measure
+
+from touchnet.data.exploration import ClosestPoints
+from touchnet.ops import marching_cubes
 
 METHODS = ("auto", "manifold", "closing", "alpha_wrap")
 
@@ -270,8 +273,8 @@ def _closest(
     points: NDArray[np.float64], vertices: NDArray[np.float64], faces: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Distances (M,) and closest points (M,3) on triangles."""
-    distance, face, weights = pcu.closest_points_on_mesh(np.ascontiguousarray(points), vertices, faces)
-    return distance, np.einsum("mij,mi->mj", vertices[faces[face]], weights)
+    closest, _, distance = ClosestPoints(vertices, faces)(points)
+    return distance, closest
 
 
 def _pull(
@@ -371,14 +374,11 @@ def _extract(
     """The boundary of field ≥ 0, pulled to `offset` where it runs along the triangles."""
     field = np.pad(field, 1, constant_values=-spacing)  # under a floorless car the winding number is still large
     origin = origin - spacing
-    field[np.abs(field) < 1e-6 * spacing] = 1e-6 * spacing  # a value on the level leaves faces without area
-    wrapped, wrapped_faces, _, _ = measure.marching_cubes(
-        field, 0.0, spacing=(spacing,) * 3, gradient_direction="ascent"
+    high = origin + spacing * (np.array(field.shape) - 1)
+    wrapped, wrapped_faces = marching_cubes(
+        torch.from_numpy(np.ascontiguousarray(field)), 0.0, box=(tuple(origin.tolist()), tuple(high.tolist()))
     )
-    wrapped = wrapped.astype(np.float64) + origin
-    wrapped_faces = wrapped_faces.astype(np.int64)
-    if signed_volume(wrapped, wrapped_faces) < 0:
-        wrapped_faces = wrapped_faces[:, ::-1]
+    wrapped, wrapped_faces = wrapped.numpy(), wrapped_faces.numpy()
     return _pull(wrapped, vertices, faces, offset, reach=1.5 * spacing), wrapped_faces
 
 
