@@ -42,15 +42,23 @@ class OctreeCubes {
   void emit(double* vertices, int64_t* faces, int64_t* low, uint8_t* axis) const;
 
  private:
-  struct Block {
-    uint64_t key;
-    uint64_t known;      // points with a value
-    uint64_t inside;     // of the known ones
+  struct alignas(64) Block {
+    uint64_t inside;   // of the known points; in one cache line with the links, for looking at the neighbours
+    uint64_t known;    // points with a value
+    int32_t link[11];  // neighbours: 1 ... 7 = (+x, +y, +z) as bits 2, 1, 0; 8, 9, 10 = -x, -y, -z; -1 = not looked up
+    uint64_t key;      // position of the block
     uint64_t requested;  // points whose value is pending
     uint64_t wanted;     // cells to visit, or visited
     uint64_t asked;      // of these, those whose corners have been requested
     uint64_t visited;    // of these, those whose neighbours have been wanted
-    int32_t link[11];  // neighbours: 1 ... 7 = (+x, +y, +z) as bits 2, 1, 0; 8, 9, 10 = -x, -y, -z; -1 = not looked up
+  };
+  struct Brick {  // 8x8x8 places for blocks
+    uint64_t key;
+    std::array<int32_t, 512> block;  // -1 = none
+  };
+  struct Pending {  // the requested points of a block, and the number of the first among the pending ones
+    int32_t block;
+    int64_t first;
   };
   struct Segment {  // lattice points start, start + 1, ..., start + length along an axis, counted with the outside
                     // layer
@@ -66,9 +74,10 @@ class OctreeCubes {
 
   double& value(int64_t point) { return pages_[point >> kPageBits][point & ((int64_t{1} << kPageBits) - 1)]; }
   double value(int64_t point) const { return pages_[point >> kPageBits][point & ((int64_t{1} << kPageBits) - 1)]; }
-  int32_t find_block(int64_t bx, int64_t by, int64_t bz, bool create);
+  int32_t find_block(int64_t bx, int64_t by, int64_t bz);
+  Brick& find_brick(uint64_t key);
   int32_t neighbour(int32_t block, int link);
-  int32_t block_of(const int64_t* point) { return find_block(point[0] >> 2, point[1] >> 2, point[2] >> 2, true); }
+  int32_t block_of(const int64_t* point) { return find_block(point[0] >> 2, point[1] >> 2, point[2] >> 2); }
   void grow_table();
   void fill_known(Block& block, int32_t index);
   void request(int32_t block, uint64_t points);
@@ -80,6 +89,8 @@ class OctreeCubes {
   void request_corners(int32_t block);
   void follow(int32_t block);
   void collect_pending();
+  template <typename Fn>
+  void for_pending(int64_t begin, int64_t end, const Fn& fn) const;
   void corner_signs(const Block& block, uint64_t* signs) const;
   void emit_block(int32_t block, const Output& output, double* vertices, int64_t* faces, int64_t* low,
                   uint8_t* axis) const;
@@ -98,13 +109,15 @@ class OctreeCubes {
 
   std::vector<Block> blocks_;
   std::vector<std::unique_ptr<double[]>> pages_;
-  std::vector<int32_t> table_;  // open addressing, -1 = free
+  std::vector<std::unique_ptr<Brick>> bricks_;
+  std::vector<int32_t> table_;  // of bricks, open addressing, -1 = free
 
   std::vector<double> seeds_;
   std::vector<Segment> segments_;
   std::vector<int32_t> front_, next_front_;  // blocks with cells asked and not visited, wanted and not asked
   std::vector<int32_t> requesting_;          // blocks with requested points
-  std::vector<int64_t> pending_;             // 64 block + bit
+  std::vector<Pending> pending_;
+  int64_t pending_count_ = 0;
   double minimum_, maximum_;
 
   std::vector<int32_t> order_;   // blocks by key

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <type_traits>
 
 #include "bits.h"
 #include "parallel.h"
@@ -18,22 +19,27 @@ T smallest_not_below(double level) {
   return value;
 }
 
-// Bit b says whether values[b] >= threshold; `finite` is cleared where a value is NaN or infinite.
 template <typename T>
-TN_LAMBDA_INLINE inline uint64_t pack(const T* values, T threshold, bool& finite) {
-  uint8_t inside[64];
-  uint8_t bad = 0;
-  for (int b = 0; b < 64; ++b) {
-    inside[b] = values[b] >= threshold;
-    bad |= !(std::abs(values[b]) <= std::numeric_limits<T>::max());
+using Lane = std::conditional_t<sizeof(T) == 4, uint32_t, uint64_t>;
+
+// Bit b says whether values[b] >= threshold; `bad` gets a bit where a value is NaN or infinite. Written as an OR over
+// lanes as wide as T, which compilers turn into vector instructions.
+template <typename T>
+TN_LAMBDA_INLINE inline Lane<T> pack_lane(const T* values, T threshold, Lane<T>& bad) {
+  Lane<T> inside = 0, wrong = 0;
+  for (int b = 0; b < static_cast<int>(8 * sizeof(T)); ++b) {
+    const Lane<T> bit = Lane<T>{1} << b;
+    inside |= values[b] >= threshold ? bit : 0;
+    wrong |= std::abs(values[b]) <= std::numeric_limits<T>::max() ? 0 : bit;
   }
-  if (bad) finite = false;
-  uint64_t word = 0;
-  for (int byte = 0; byte < 8; ++byte) {
-    uint64_t eight = 0;
-    for (int b = 0; b < 8; ++b) eight |= static_cast<uint64_t>(inside[8 * byte + b]) << b;
-    word |= eight << (8 * byte);
-  }
+  bad |= wrong;
+  return inside;
+}
+
+template <typename T>
+TN_LAMBDA_INLINE inline uint64_t pack(const T* values, T threshold, Lane<T>& bad) {
+  uint64_t word = pack_lane(values, threshold, bad);
+  if constexpr (sizeof(T) == 4) word |= static_cast<uint64_t>(pack_lane(values + 32, threshold, bad)) << 32;
   return word;
 }
 
@@ -93,24 +99,24 @@ int64_t DenseCubes<T>::classify(int64_t i, int64_t j) {
   const int64_t depth = points_[2];
   const T* values = values_ + (i * points_[1] + j) * depth;
   uint64_t* row = &inside_[((i + 1) * (points_[1] + 2) + j + 1) * words_];
-  bool finite = true;
+  Lane<T> bad = 0;
   uint64_t carry = 0;
   run_vectorised([&]() TN_LAMBDA_INLINE {
     for (int64_t w = 0; w < words_; ++w) {
       const int64_t first = 64 * w, left = depth - first;
       uint64_t word = 0;
       if (left >= 64) {
-        word = pack(values + first, threshold_, finite);
+        word = pack(values + first, threshold_, bad);
       } else if (left > 0) {
         T rest[64] = {};
         std::memcpy(rest, values + first, left * sizeof(T));
-        word = pack(rest, threshold_, finite) & ((uint64_t{1} << left) - 1);
+        word = pack(rest, threshold_, bad) & ((uint64_t{1} << left) - 1);
       }
       row[w] = word << 1 | carry;
       carry = word >> 63;
     }
   });
-  if (finite) return 0;
+  if (!bad) return 0;
   int64_t count = 0;
   for (int64_t k = 0; k < depth; ++k) count += !std::isfinite(values[k]);
   return count;

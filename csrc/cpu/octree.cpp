@@ -67,32 +67,40 @@ void OctreeCubes::add_seeds(const double* points, int64_t count) { seeds_.assign
 
 // ---- Sparse storage
 
-int32_t OctreeCubes::find_block(int64_t bx, int64_t by, int64_t bz, bool create) {
-  const uint64_t key = block_key(bx, by, bz), mask = table_.size() - 1;
+OctreeCubes::Brick& OctreeCubes::find_brick(uint64_t key) {
+  const uint64_t mask = table_.size() - 1;
   uint64_t slot = mix(key) & mask;
   for (; table_[slot] >= 0; slot = (slot + 1) & mask) {
-    if (blocks_[table_[slot]].key == key) return table_[slot];
+    if (bricks_[table_[slot]]->key == key) return *bricks_[table_[slot]];
   }
-  if (!create) return -1;
-  const int32_t index = static_cast<int32_t>(blocks_.size());
-  table_[slot] = index;
-  blocks_.push_back({key, 0, 0, 0, 0, 0, 0, {-1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1}});
-  if ((static_cast<int64_t>(index) * 64) >> kPageBits == static_cast<int64_t>(pages_.size())) {
-    pages_.emplace_back(new double[int64_t{1} << kPageBits]);
-  }
-  fill_known(blocks_.back(), index);
-  if (2 * blocks_.size() > table_.size()) grow_table();
-  return index;
+  table_[slot] = static_cast<int32_t>(bricks_.size());
+  bricks_.emplace_back(new Brick{key, {}});
+  bricks_.back()->block.fill(-1);
+  if (2 * bricks_.size() > table_.size()) grow_table();
+  return *bricks_.back();
 }
 
 void OctreeCubes::grow_table() {
   table_.assign(2 * table_.size(), -1);
   const uint64_t mask = table_.size() - 1;
-  for (size_t b = 0; b < blocks_.size(); ++b) {
-    uint64_t slot = mix(blocks_[b].key) & mask;
+  for (size_t b = 0; b < bricks_.size(); ++b) {
+    uint64_t slot = mix(bricks_[b]->key) & mask;
     while (table_[slot] >= 0) slot = (slot + 1) & mask;
     table_[slot] = static_cast<int32_t>(b);
   }
+}
+
+// The block at a place, made where there is none.
+int32_t OctreeCubes::find_block(int64_t bx, int64_t by, int64_t bz) {
+  int32_t& block = find_brick(block_key(bx >> 3, by >> 3, bz >> 3)).block[(bx & 7) << 6 | (by & 7) << 3 | (bz & 7)];
+  if (block >= 0) return block;
+  block = static_cast<int32_t>(blocks_.size());
+  blocks_.push_back({0, 0, {-1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1}, block_key(bx, by, bz), 0, 0, 0, 0});
+  if (static_cast<int64_t>(block) * 64 >> kPageBits == static_cast<int64_t>(pages_.size())) {
+    pages_.emplace_back(new double[int64_t{1} << kPageBits]);
+  }
+  fill_known(blocks_.back(), block);
+  return block;
 }
 
 int32_t OctreeCubes::neighbour(int32_t block, int link) {
@@ -103,7 +111,7 @@ int32_t OctreeCubes::neighbour(int32_t block, int link) {
   for (int axis = 0; axis < 3; ++axis) {
     at[axis] = key_coordinate(key, axis) + (link < 8 ? (link & kUp[axis]) != 0 : -(link == kDown[axis]));
   }
-  found = find_block(at[0], at[1], at[2], true);
+  found = find_block(at[0], at[1], at[2]);
   blocks_[block].link[link] = found;
   return found;
 }
@@ -150,54 +158,86 @@ void OctreeCubes::want(int32_t block, uint64_t cells) {
 
 // ---- Queries
 
-int64_t OctreeCubes::pending() const { return coarse_done_ ? pending_.size() : coarse_values_.size(); }
+int64_t OctreeCubes::pending() const {
+  return coarse_done_ ? pending_count_ : static_cast<int64_t>(coarse_values_.size());
+}
+
+void OctreeCubes::collect_pending() {
+  pending_.clear();
+  pending_count_ = 0;
+  for (const int32_t block : requesting_) {
+    pending_.push_back({block, pending_count_});
+    pending_count_ += count_bits(blocks_[block].requested);
+  }
+}
+
+// Calls fn(block, points of it, number of the first of them) for the pending points begin ... end.
+template <typename Fn>
+void OctreeCubes::for_pending(int64_t begin, int64_t end, const Fn& fn) const {
+  auto at = std::upper_bound(pending_.begin(), pending_.end(), begin,
+                             [](int64_t n, const Pending& pending) { return n < pending.first; });
+  for (--at; at != pending_.end() && at->first < end; ++at) {
+    uint64_t points = blocks_[at->block].requested;
+    int64_t first = at->first;
+    for (; first < begin; ++first) points &= points - 1;
+    if (first + count_bits(points) > end) {
+      uint64_t rest = points;
+      for (int64_t n = first; n < end; ++n) rest &= rest - 1;
+      points &= ~rest;
+    }
+    if (points) fn(at->block, points, first);
+  }
+}
 
 template <typename T>
 void OctreeCubes::write_points(int64_t begin, int64_t count, T* points) const {
   const int64_t ny = coarse_[1].size(), nz = coarse_[2].size();
-  parallel_for(0, count, worth_threads(0.005 * count, threads_), [&](int64_t first, int64_t last) {
-    for (int64_t n = first; n < last; ++n) {
-      int64_t index[3];
-      if (coarse_done_) {
-        const int64_t point = pending_[begin + n];
-        const uint64_t key = blocks_[point >> 6].key;
-        for (int axis = 0; axis < 3; ++axis) index[axis] = lattice_index(key, point & 63, axis);
-      } else {
-        const int64_t c = begin + n;
-        index[0] = coarse_[0][c / (ny * nz)];
-        index[1] = coarse_[1][c / nz % ny];
-        index[2] = coarse_[2][c % nz];
+  parallel_for(begin, begin + count, worth_threads(0.004 * count, threads_), [&](int64_t first, int64_t last) {
+    if (!coarse_done_) {
+      for (int64_t n = first; n < last; ++n) {
+        const int64_t index[3] = {coarse_[0][n / (ny * nz)], coarse_[1][n / nz % ny], coarse_[2][n % nz]};
+        for (int axis = 0; axis < 3; ++axis) {
+          points[3 * (n - begin) + axis] = static_cast<T>(vertex_coordinate(lattice_, axis, index[axis], 0));
+        }
       }
-      for (int axis = 0; axis < 3; ++axis) {
-        points[3 * n + axis] = static_cast<T>(vertex_coordinate(lattice_, axis, index[axis], 0));
-      }
+      return;
     }
+    for_pending(first, last, [&](int32_t block, uint64_t wanted, int64_t n) {
+      T at[3][4];
+      for (int axis = 0; axis < 3; ++axis) {
+        const int64_t start = 4 * key_coordinate(blocks_[block].key, axis) - 1;
+        for (int k = 0; k < 4; ++k) at[axis][k] = static_cast<T>(vertex_coordinate(lattice_, axis, start + k, 0));
+      }
+      for (T* point = points + 3 * (n - begin); wanted; wanted &= wanted - 1, point += 3) {
+        const int bit = lowest_bit(wanted);
+        point[0] = at[0][bit >> 4];
+        point[1] = at[1][bit >> 2 & 3];
+        point[2] = at[2][bit & 3];
+      }
+    });
   });
 }
 
 template <typename T>
 void OctreeCubes::read_values(int64_t begin, int64_t count, const T* values) {
   for (int64_t n = 0; n < count; ++n) {
-    const double v = values[n];
-    minimum_ = std::min(minimum_, v);
-    maximum_ = std::max(maximum_, v);
-    if (coarse_done_) {
-      const int64_t point = pending_[begin + n];
-      value(point) = v;
-      blocks_[point >> 6].inside |= static_cast<uint64_t>(v >= level_) << (point & 63);
-    } else {
-      coarse_values_[begin + n] = v;
-    }
+    minimum_ = std::min(minimum_, static_cast<double>(values[n]));
+    maximum_ = std::max(maximum_, static_cast<double>(values[n]));
   }
-}
-
-void OctreeCubes::collect_pending() {
-  pending_.clear();
-  for (const int32_t block : requesting_) {
-    for (uint64_t left = blocks_[block].requested; left; left &= left - 1) {
-      pending_.push_back(64 * static_cast<int64_t>(block) + lowest_bit(left));
-    }
+  if (!coarse_done_) {
+    std::copy(values, values + count, coarse_values_.begin() + begin);
+    return;
   }
+  for_pending(begin, begin + count, [&](int32_t block, uint64_t read, int64_t n) {
+    double* const to = &value(64 * static_cast<int64_t>(block));
+    uint64_t inside = 0;
+    for (const T* from = values + (n - begin); read; read &= read - 1, ++from) {
+      const int bit = lowest_bit(read);
+      to[bit] = *from;
+      inside |= static_cast<uint64_t>(*from >= level_) << bit;
+    }
+    blocks_[block].inside |= inside;
+  });
 }
 
 void OctreeCubes::advance() {
@@ -232,8 +272,14 @@ void OctreeCubes::advance() {
 void OctreeCubes::add_segment(const int64_t* start, int axis, int64_t length) {
   Segment segment{{start[0], start[1], start[2]}, axis, length};
   int64_t at[3] = {start[0], start[1], start[2]};
-  for (int64_t n = 0; n <= length; ++n, ++at[axis]) {
-    request(block_of(at), uint64_t{1} << ((at[0] & 3) << 4 | (at[1] & 3) << 2 | (at[2] & 3)));
+  for (int64_t n = 0; n <= length;) {  // block by block
+    const int32_t block = block_of(at);
+    uint64_t points = 0;
+    do {
+      points |= uint64_t{1} << ((at[0] & 3) << 4 | (at[1] & 3) << 2 | (at[2] & 3));
+      ++n, ++at[axis];
+    } while (n <= length && (at[axis] & 3));
+    request(block, points);
   }
   segments_.push_back(segment);
 }

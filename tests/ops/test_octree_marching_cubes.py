@@ -87,8 +87,7 @@ def test_equals_the_dense_mesh_of_a_surface_with_few_evaluations(name, resolutio
     assert field.points <= 65**3 + 1.3 * crossed_cell_corners(volume)
 
 
-def test_every_component_that_separates_two_coarse_points_is_found(generator):
-    # Balls of half a coarse step and more around coarse points, some of them inside others' shells.
+def test_every_ball_around_a_coarse_point_is_found(generator):
     centres = torch.randint(-6, 7, (12, 3), generator=generator) / 8
     radii = 0.02 + 0.1 * torch.rand(12, generator=generator)
 
