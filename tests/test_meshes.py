@@ -38,7 +38,7 @@ def test_a_missing_face():
 def test_one_face_turned():
     vertices, faces = tetrahedron()
     faces[0] = faces[0, ::-1]
-    with pytest.raises(ValueError, match="same direction"):
+    with pytest.raises(ValueError, match="3 edges that both of their faces run through in the same direction"):
         check_closed(mesh(vertices, faces))
 
 

@@ -2,8 +2,6 @@
 
 import numpy as np
 import trimesh
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 __all__ = ["check_closed"]
 
@@ -26,44 +24,64 @@ def check_closed(mesh: trimesh.Trimesh) -> None:
         raise ValueError(f"the mesh has {broken} vertices that are not finite")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise ValueError(f"the mesh has faces that name vertices beyond its {len(vertices)}")
-    unused = len(vertices) - len(np.unique(faces))
+    unused = int((np.bincount(faces.reshape(-1), minlength=len(vertices)) == 0).sum())
     if unused:
         raise ValueError(f"the mesh has {unused} vertices without a face")
 
-    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
-    directed = start * len(vertices) + end
-    undirected = np.minimum(start, end) * len(vertices) + np.maximum(start, end)
-    order = np.argsort(undirected, kind="stable")
-    keys, counts = np.unique(undirected, return_counts=True)
-    wrong = int((counts != 2).sum())
-    if wrong:
-        raise ValueError(
-            f"the mesh is not closed: {wrong} of {len(keys)} edges have {counts[counts != 2].min()} to "
-            f"{counts[counts != 2].max()} faces instead of 2"
-        )
-    if len(np.unique(directed)) != len(directed):
-        raise ValueError("the mesh has edges that both of their faces run through in the same direction")
-
-    # Corners (face, vertex) that share an edge at the same vertex belong to one fan.
-    first, second = order[0::2], order[1::2]  # half-edges of opposite direction; half-edge h starts at corner h
-
-    def following(half_edge: np.ndarray) -> np.ndarray:
-        return half_edge // 3 * 3 + (half_edge + 1) % 3
-
-    rows = np.concatenate([first, following(first)])
-    columns = np.concatenate([following(second), second])
-    links = coo_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(len(start), len(start)))
-    fans = connected_components(links, directed=False)[0]
+    fans = _count_fans(faces, len(vertices))
     if fans != len(vertices):
         raise ValueError(f"the mesh touches itself: {fans} fans of faces at {len(vertices)} vertices")
 
-    corners = vertices[faces]
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    flat = int((areas <= 0).sum())
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    normals = _cross(b - a, c - a)
+    flat = int((np.abs(normals).max(axis=1) <= 0).sum())
     if flat:
         raise ValueError(f"the mesh has {flat} of {len(faces)} faces without area")
     # About the middle, so that a small object far from the origin keeps its digits.
-    corners = corners - vertices.mean(axis=0)
-    volume = float(np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6)
+    volume = float(np.einsum("ij,ij->", a - vertices.mean(axis=0), normals) / 6)
     if not volume > 0:
         raise ValueError(f"the mesh is inside out: its volume is {volume:g}")
+
+
+def _count_fans(faces: np.ndarray, count: int) -> int:
+    """The number of fans of faces around all `count` vertices.
+
+    Raises:
+        ValueError: an edge that has not exactly two faces, of opposite direction.
+    """
+    # Half-edge h runs from corner h of the flattened faces to the next corner of its face.
+    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    edge = np.minimum(start, end) * count + np.maximum(start, end)
+    order = np.argsort(edge)
+    ordered = edge[order]
+    one, other = order[0::2], order[1::2]
+    paired = len(edge) % 2 == 0 and (ordered[0::2] == ordered[1::2]).all() and (ordered[1:-1:2] != ordered[2::2]).all()
+    if not paired:
+        counts = np.unique(ordered, return_counts=True)[1]
+        wrong = counts[counts != 2]
+        raise ValueError(
+            f"the mesh is not closed: {len(wrong)} of {len(counts)} edges have {wrong.min()} to {wrong.max()} faces "
+            "instead of 2"
+        )
+    same = int((start[one] == start[other]).sum())
+    if same:
+        raise ValueError(f"the mesh has {same} edges that both of their faces run through in the same direction")
+
+    # The half-edge before h in its face, turned round, leaves the vertex that h leaves: the next one of the fan.
+    twin = np.empty_like(order)
+    twin[one], twin[other] = other, one
+    half_edges = np.arange(len(edge))
+    step = twin[half_edges // 3 * 3 + (half_edges + 2) % 3]
+    # Each cycle of `step` is a fan: find its smallest half-edge, by steps of doubling length.
+    smallest = half_edges
+    while True:
+        lower = np.minimum(smallest, smallest[step])
+        if (lower == smallest).all():
+            return int((smallest == half_edges).sum())
+        smallest, step = lower, step[step]
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products (N,3); several times faster than numpy's."""
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
