@@ -1,7 +1,6 @@
 #include "gp.h"
 
 #include <algorithm>
-#include <cstdint>
 
 // The loops are bound by reading the factor; wider vectors help where the compiler can choose them at load time. Sums
 // are kept in a fixed number of partial sums, so every width gives the same bits.

@@ -101,7 +101,7 @@ def simulate_touches(
         ValueError: an argument is out of range, the mesh has no face with an area, or no contact is reachable.
     """
     _check(n >= 1, "n", "at least 1", n)
-    low_step, high_step = (0.1, 0.1) if step is None else step if isinstance(step, tuple) else (step, step)
+    low_step, high_step = (0.1, 0.1) if step is None else step if np.ndim(step) else (step, step)
     _check(0 < low_step <= high_step <= 1, "step", "in (0, 1], or 0 < low ≤ high ≤ 1", step)
     _check(stroke_length is None or stroke_length >= 1, "stroke_length", "None or at least 1", stroke_length)
     _check(max_strokes is None or max_strokes >= 1, "max_strokes", "None or at least 1", max_strokes)
@@ -471,7 +471,7 @@ class _Starts:
         self.padded[: len(points)] = self.points
         self.variance = np.ones(self.groups * _LANES)
         self.solved = np.empty((self.groups, n, _LANES))
-        self.known = np.zeros(self.groups, dtype=np.uint64)
+        self.known = np.zeros(self.groups, dtype=np.uintp)
 
     def next(self, rng: np.random.Generator) -> tuple[Contact, float]:
         """A contact, and the highest variance of the candidates (1 where it is not looked for)."""
