@@ -161,8 +161,9 @@ def test_resume_goes_on_after_a_kill(data: Path, tmp_path: Path, calls) -> None:
     assert len(calls) == 2 * 2 * 2 * 2 + 1
     assert results(whole) == results(broken)
     calls.clear()
-    evaluate(config(data, broken, methods=("model", "convex_hull"), resume=True))  # only the new method runs
-    assert calls == [] and {row["method"] for row in results(broken)} == {TRUTH, "model", "convex_hull"}
+    both = ("model", "convex_hull")
+    evaluate(config(data, broken, methods=both, resume=True))  # only the new method runs
+    assert calls == [] and {row["method"] for row in results(broken)} == {TRUTH, *both}
     evaluate(config(data, broken, methods=("model",), weights="others", resume=True))  # other weights: all anew
     assert len(calls) == 4 * 2 * 2 * 2
 
@@ -260,3 +261,14 @@ def test_weights_from_a_file_are_evaluated(data: Path, tmp_path: Path) -> None:
     for row in rows:
         assert 0 <= float(row["iou"]) <= 1 and len(row["weights"]) == 16
         assert all(row[name] != "" for name in result_keys(asked) if name != "seconds")
+
+
+def test_a_picture_after_resume_shows_every_method(data: Path, tmp_path: Path, calls) -> None:
+    one = config(data, tmp_path, contacts=(TOUCHES,), trajectories=1, limit=1, categories=("ball",), gallery=1)
+    evaluate(one)
+    width = Image.open(tmp_path / "gallery.png").width
+    evaluate(dataclasses.replace(one, methods=("convex_hull", "model"), normals="with", resume=True))
+    assert Image.open(tmp_path / "gallery.png").width > width + command.TILE
+    assert [row["method"] for row in results(tmp_path)] == ["convex_hull", "model", TRUTH]
+    lines = (tmp_path / "progress.jsonl").read_text().splitlines()
+    assert len(lines) == 1 + 3  # the hull was computed again for the picture, and not written again

@@ -224,7 +224,7 @@ def evaluate_shape(
             row |= {f"paper_{name}": value for name, value in scores.items()}
         row["note"] = "; ".join(" ".join(note.split()) for note in notes)
         rows.append(row)
-        if task.trajectory == 0 and task.contacts == max(config.contacts):
+        if _is_drawn(config, task):
             drawn[task.method, task.normals] = result
     if picture is not None:
         _draw(picture, touches[0, : max(config.contacts)], drawn, mesh)
@@ -291,7 +291,7 @@ def collect(config: EvaluateConfig, settings: dict[str, Any], weights: str, prog
     data = _data(config)
     rows = _read_progress(progress, settings) if config.resume and progress.exists() else []
     rows = [row for row in rows if row["weights"] in ("", weights)]
-    done = {(row["shape"], *(row[name] for name in Task._fields)) for row in rows}
+    done = {_key(row) for row in rows}
     pictured: dict[str, int] = {}
     used: dict[str, int] = {}
     jobs = []
@@ -312,6 +312,8 @@ def collect(config: EvaluateConfig, settings: dict[str, Any], weights: str, prog
         if pictured.get(record.category, 0) < config.gallery and stored[0]:
             pictured[record.category] = pictured.get(record.category, 0) + 1
             picture = _strip(config, record.id)
+        if missing and picture:  # the row of the gallery needs all of its meshes, also those measured already
+            missing += [task for task in tasks if _is_drawn(config, task) and task not in missing]
         if missing:
             jobs.append((index, missing, picture))
     new = not progress.exists() or not config.resume
@@ -320,6 +322,7 @@ def collect(config: EvaluateConfig, settings: dict[str, Any], weights: str, prog
             log.write(json.dumps(settings) + "\n")
         with tqdm(total=len(asked), initial=len(asked & done), unit="mesh", desc="evaluate") as bar:
             for finished in _in_processes(config, jobs):
+                finished = [row for row in finished if _key(row) not in done]
                 for row in finished:
                     row["weights"] = weights if row["method"] == "model" else ""
                 log.writelines(json.dumps(row) + "\n" for row in finished)
@@ -327,10 +330,18 @@ def collect(config: EvaluateConfig, settings: dict[str, Any], weights: str, prog
                 rows += finished
                 bar.update(len(finished))
     # In a fixed order, and without what an earlier run had measured beyond today's question.
-    rows = [row for row in rows if (row["shape"], *(row[name] for name in Task._fields)) in asked]
+    rows = [row for row in rows if _key(row) in asked]
     return sorted(
         rows, key=lambda row: (row["shape"], row["method"], row["contacts"], row["normals"], row["trajectory"])
     )
+
+
+def _key(row: dict[str, Any]) -> tuple[Any, ...]:
+    return (row["shape"], *(row[name] for name in Task._fields))
+
+
+def _is_drawn(config: EvaluateConfig, task: Task) -> bool:
+    return task.method != TRUTH and task.trajectory == 0 and task.contacts == max(config.contacts)
 
 
 def _in_processes(
