@@ -338,10 +338,11 @@ def _record(source: MeshSource, file: str, checksum: str) -> ShapeRecord:
 def _outcomes(
     todo: Sequence[MeshSource], directory: Path, parameters: Parameters, seed: int, prints: dict[str, str], jobs: int
 ) -> Iterator[ShapeRecord | Failure]:
-    if jobs == 1 and joblib.parallel.get_active_backend()[0].__class__.__name__ in ("LokyBackend", "SequentialBackend"):
+    workers = None if jobs == 1 else jobs  # None: what joblib.parallel_config says, 1 otherwise
+    if joblib.effective_n_jobs(workers) == 1:
         yield from (_make(source, directory, parameters, seed, prints[source.id]) for source in todo)
         return
-    parallel = joblib.Parallel(n_jobs=None if jobs == 1 else jobs, return_as="generator_unordered", batch_size=1)
+    parallel = joblib.Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)
     yield from parallel(
         joblib.delayed(_make)(source, directory, parameters, seed, prints[source.id]) for source in todo
     )
