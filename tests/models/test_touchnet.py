@@ -83,6 +83,18 @@ def test_no_normals_means_zero_normals(model):
     assert torch.equal(model(touches, queries), model(touches, queries, torch.zeros_like(touches)))
 
 
+@pytest.mark.parametrize("sampling", ["trilinear", "addition"])
+def test_decoding_without_gradients_gives_the_same_values(sampling):
+    torch.manual_seed(0)
+    model = TouchNet(SMALL, sampling=sampling).eval()
+    touches, normals = touches_on_sphere(40)
+    features, queries = model.encode(touches, normals), queries_in_cube(3000)
+    with torch.inference_mode():
+        quick = model.decode(features, queries)
+    assert torch.allclose(quick, model.decode(features, queries), atol=1e-6)
+    assert quick.shape == (1, 3000)
+
+
 def test_normals_change_the_field(model):
     touches, normals = touches_on_sphere(40)
     queries = queries_in_cube(100)

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from touchnet import ops
 from touchnet.config import MODELS, ModelConfig
+from touchnet.models.query import HeadQuery
 from touchnet.models.unet3d import BaseUNet3D, PaperUNet3D, channels_last
 
 
@@ -91,6 +92,8 @@ class TouchNet(nn.Module):
 
     def decode(self, features: list[Tensor], queries: Tensor) -> Tensor:
         """Occupancy in [0, 1] at `queries` (B, M, 3) from the volumes that :meth:`encode` returned: (B, M)."""
+        if not torch.is_grad_enabled() and len(queries) == 1:
+            return HeadQuery(features, self.head, sample=self.sample)(queries[0])[None]
         return self.decode_logits(features, queries).float().sigmoid()
 
     def _grid(self, touches: Tensor, normals: Tensor | None) -> Tensor:
