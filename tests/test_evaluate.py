@@ -244,6 +244,7 @@ def test_summary_by_hand() -> None:
     assert found["a", "chamfer"].value == pytest.approx(2) and found["mean", "chamfer"].value == pytest.approx(3)
     assert (found["a", "chamfer"].shapes, found["a", "chamfer"].results, found["a", "chamfer"].empty) == (2, 3, 1)
     assert found["mean", "chamfer"].empty == 1 and found["mean", "chamfer"].shapes == 3
+    assert all(s.low is None for s in summarise([rows[0], rows[3]], ["iou"], seed=0))
 
 
 def test_weights_from_a_file_are_evaluated(data: Path, tmp_path: Path) -> None:

@@ -423,7 +423,8 @@ def summarise(rows: Sequence[dict[str, Any]], measures: Iterable[str], *, seed: 
                 )
             shapes = len({row["shape"] for row in group})
             counts = shapes, len(group), sum(int(row.get(empty_key, 0)) for row in group)
-            bounds = _interval(_finite_mean(np.stack(spreads, axis=1)), shapes)
+            # One shape a category has no spread to resample.
+            bounds = _interval(_finite_mean(np.stack(spreads, axis=1)), shapes if shapes > len(categories) else 1)
             value = _or_none(_finite_mean(np.array(values)))
             summaries.append(Summary(method, contacts, normals, "mean", measure, value, *bounds, *counts))
     return summaries
