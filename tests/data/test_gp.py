@@ -321,6 +321,7 @@ def test_empty_query():
         (lambda: process("rbf").add([0, 0, 0], np.inf), "values should be finite"),
         (lambda: process("rbf").add([0, 0, 0], offset=0.1), "normals and offset go together"),
         (lambda: process("rbf").add_with_gradient(np.zeros((2, 3))), r"point should have shape \(3,\), got 2 points"),
+        (lambda: process("rbf").last_gradient(), "last_gradient needs a contact, got none"),
         (lambda: process("rbf").mean(np.zeros((1, 4))), r"x should have shape \(M, 3\), got \(1, 4\)"),
         (lambda: process("thin_plate").fit(), "got 'thin_plate'"),
         (lambda: process("rbf").fit(), "fit needs at least 2 contacts, got 0"),

@@ -139,12 +139,12 @@ def simulate_touches(
             length = quiet = 0
             steer.begin()
             while True:
-                variance, gradient = record.touch(contact, stroke)
+                variance = record.touch(contact, stroke)
                 length += 1
                 quiet = quiet + 1 if variance < enough else 0
                 if record.count == n or quiet == 4 or length == limit:
                     break
-                direction = steer(gradient, contact, variance)
+                direction = steer(record, contact, variance)
                 distance = low_step if low_step == high_step else float(rng.uniform(low_step, high_step))
                 following = finger.slide(contact, direction, distance)
                 if following is None:
@@ -385,25 +385,30 @@ class _Record:
 
     def __init__(self, n: int, gp: GaussianProcess, rng: np.random.Generator) -> None:
         self.gp, self.rng, self.count = gp, rng, 0
+        self._missed: Vector | None = None
         gp.reserve(n)
         self._points, self._normals = np.empty((n, 3)), np.empty((n, 3))
         self._strokes, self._variance = np.empty(n, dtype=np.int64), np.empty(n)
 
-    def touch(self, contact: Contact, stroke: int) -> tuple[float, NDArray[np.float64]]:
-        """Variance before the contact, and its gradient (3,)."""
+    def touch(self, contact: Contact, stroke: int) -> float:
+        """The variance before the contact."""
         point, normal = contact
-        if self.dropout and self.rng.random() < self.dropout:
-            at = np.array(point)[None]
-            return float(self.gp.variance(at)[0]), self.gp.variance_gradient(at)[0]
+        self._missed = point if self.dropout and self.rng.random() < self.dropout else None
+        if self._missed is not None:
+            return float(self.gp.variance(point)[0])
         if self.position_noise:
             point = np.array(point) + self.position_noise * self.rng.standard_normal(3)
         if self.normal_noise:
             normal = _tilted(np.array(normal), self.normal_noise * self.rng.standard_normal(2))
-        variance, gradient = self.gp.add_with_gradient(point)
+        variance = self.gp.add_one(point)
         i = self.count
         self._points[i], self._normals[i], self._strokes[i], self._variance[i] = point, normal, stroke, variance
         self.count = i + 1
-        return variance, gradient
+        return variance
+
+    def gradient(self) -> NDArray[np.float64]:
+        """Gradient (3,) of the variance at the contact just made, as it was before it."""
+        return self.gp.last_gradient() if self._missed is None else self.gp.variance_gradient(self._missed)[0]
 
     def touches(self, surface: _Surface) -> Touches:
         i = self.count
@@ -419,8 +424,8 @@ class _UpTheVariance:
     def begin(self) -> None:
         pass
 
-    def __call__(self, gradient: NDArray[np.float64], contact: Contact, variance: float) -> Vector:
-        slope = tuple(gradient.tolist())
+    def __call__(self, record: _Record, contact: Contact, variance: float) -> Vector:
+        slope = tuple(record.gradient().tolist())
         # The gradient before the contact scales with the variance, so the threshold holds for any noise.
         smallest = 1e-6 * variance / self.length_scale
         direction = _in_plane(slope, contact[1], smallest)
@@ -440,7 +445,7 @@ class _Wander:
     def begin(self) -> None:
         self.heading: Vector | None = None
 
-    def __call__(self, gradient: NDArray[np.float64], contact: Contact, variance: float) -> Vector:
+    def __call__(self, record: _Record, contact: Contact, variance: float) -> Vector:
         normal = contact[1]
         ahead = None if self.heading is None else _in_plane(self.heading, normal)
         if ahead is None:

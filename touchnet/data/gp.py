@@ -106,20 +106,43 @@ class GaussianProcess:
         for point, value in zip(points, values, strict=True):
             self._append(point, float(value))
 
-    def add_with_gradient(self, point: ArrayLike, value: float = 0.0) -> tuple[float, NDArray[np.float64]]:
-        """Adds one contact (3,); returns the variance there before it, and the gradient (3,) of that variance.
-
-        One back-substitution. Afterwards the gradient at the contact is this one times σ_n² / (V + σ_n²), V being the
-        variance returned: the same direction however small σ_n is, where differencing the two terms of the
-        posterior gradient would lose it to rounding.
-        """
+    def add_one(self, point: ArrayLike, value: float = 0.0) -> float:
+        """Adds one contact (3,); returns the variance there just before it."""
         point = _checked(point, "point")
         if len(point) != 1:
             raise ValueError(f"point should have shape (3,), got {len(point)} points")
         self._check_extent(point)
         if self._n == len(self._points):
             self._allocate(2 * self._n)
-        return self._append_with_gradient(point[0], value)
+        return self._append(point[0], float(value))
+
+    def last_gradient(self) -> NDArray[np.float64]:
+        """Gradient (3,) of the variance at the last contact, as it was just before that contact: one back-substitution.
+
+        Since then the gradient there is this one times σ_n² / (V + σ_n²), V being the variance before: the same
+        direction however small σ_n is, where the difference of the posterior's two terms would lose it to rounding.
+        """
+        if self._n == 0:
+            raise ValueError("last_gradient needs a contact, got none")
+        n = self._n - 1
+        gradient = np.empty(3)
+        points, factor = self._points.ctypes.data, self._factor.ctypes.data
+        _C.gp_variance_gradient(
+            _KERNELS[self.kernel],
+            self.length_scale,
+            points,
+            factor,
+            n,
+            points + 24 * n,
+            factor + 4 * n * (n + 1),
+            self._work.ctypes.data,
+            gradient.ctypes.data,
+        )
+        return gradient
+
+    def add_with_gradient(self, point: ArrayLike, value: float = 0.0) -> tuple[float, NDArray[np.float64]]:
+        """`add_one` and `last_gradient`: the variance at the contact (3,) just before it, and its gradient (3,)."""
+        return self.add_one(point, value), self.last_gradient()
 
     def mean(self, x: ArrayLike) -> NDArray[np.float64]:
         """Posterior mean (m,) at x (m, 3), eq. 6."""
@@ -143,7 +166,7 @@ class GaussianProcess:
     def variance_gradient(self, x: ArrayLike) -> NDArray[np.float64]:
         """Gradient (m, 3) of the posterior variance at x (m, 3): -2 Σ_j (G⁻¹ k(X, x))_j ∂k(x, x_j)/∂x, eq. 8.
 
-        At a contact it is of the order of σ_n²: `add_with_gradient` gives its direction exactly.
+        At a contact it is of the order of σ_n²: `last_gradient` gives its direction exactly.
         """
         x = _checked(x, "x")
         self._check_extent(x)
@@ -252,24 +275,6 @@ class GaussianProcess:
         self._factor[start + n] = pivot
         self._whitened[n] = (self._values[n] - self.prior_mean - row @ self._whitened[:n]) / pivot
         return variance
-
-    def _append_with_gradient(self, point: NDArray[np.float64], value: float) -> tuple[float, NDArray[np.float64]]:
-        n = self._n
-        variance = self._append(point, value)
-        gradient = np.empty(3)
-        points, factor = self._points.ctypes.data, self._factor.ctypes.data
-        _C.gp_variance_gradient(
-            _KERNELS[self.kernel],
-            self.length_scale,
-            points,
-            factor,
-            n,
-            points + 24 * n,
-            factor + 4 * n * (n + 1),
-            self._work.ctypes.data,
-            gradient.ctypes.data,
-        )
-        return variance, gradient
 
     def _mean_weights(self) -> NDArray[np.float64]:
         if self._weights is None:
