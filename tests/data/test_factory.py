@@ -195,6 +195,7 @@ def test_sources_are_checked_first(tmp_path):
     ("change", "words"),
     [
         ({"near": -1}, "near should be ≥ 0, got -1"),
+        ({"touches": 0}, "touches should be between 1 and 32767, got 0"),
         ({"sigmas": ()}, "sigmas should be positive"),
         ({"offset": 0.5}, "offset should be between 0 and 0.1"),
         ({"resolution": 3}, "resolution should be ≥ 100"),

@@ -63,9 +63,11 @@ class Parameters:
     """Distance of a closed surface from the open mesh it was made of."""
 
     def __post_init__(self) -> None:
-        for name in ("trajectories", "touches", "near", "box", "surface"):
+        for name in ("trajectories", "near", "box", "surface"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} should be ≥ 0, got {getattr(self, name)}")
+        if not 1 <= self.touches <= 32767:  # strokes are counted in 16 bits
+            raise ValueError(f"touches should be between 1 and 32767, got {self.touches}")
         if not self.sigmas or not all(0 < sigma < math.inf for sigma in self.sigmas):
             raise ValueError(f"sigmas should be positive numbers, got {self.sigmas}")
         if not 0 < self.offset < 0.1:

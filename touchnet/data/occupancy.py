@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
-from touchnet.data.watertight import inspect_mesh, signed_volume, winding_number
+from touchnet.data.watertight import edge_report, signed_volume, winding_number
 
 
 class SurfaceSamples(NamedTuple):
@@ -50,13 +50,16 @@ def contains(mesh: trimesh.Trimesh, points: ArrayLike) -> NDArray[np.bool_]:
     Raises:
         ValueError: the mesh is open or its faces do not wind one way (`make_watertight` closes it).
     """
-    report = inspect_mesh(mesh, samples=1)
-    if not report.closed:
-        wrong = f"{report.open_edges} open edges" if report.open_edges else "faces that wind both ways"
+    faces = np.asarray(mesh.faces)
+    if not len(faces):
+        raise ValueError("mesh should be closed to tell inside from outside, got no faces")
+    open_edges, consistent = edge_report(faces)
+    if open_edges or not consistent:
+        wrong = f"{open_edges} open edges" if open_edges else "faces that wind both ways"
         raise ValueError(f"mesh should be closed to tell inside from outside, got {wrong}: make_watertight closes it")
-    values = winding_number(mesh.vertices, mesh.faces, points)
-    if report.volume < 0:
-        warnings.warn(f"{len(mesh.faces)} faces wind inwards; labelled as if they were flipped", stacklevel=2)
+    values = winding_number(mesh.vertices, faces, points)
+    if signed_volume(np.asarray(mesh.vertices, dtype=np.float64), faces) < 0:
+        warnings.warn(f"{len(faces)} faces wind inwards; labelled as if they were flipped", stacklevel=2)
         values = -values
     return values >= 0.5
 
@@ -99,6 +102,3 @@ def _label(mesh: trimesh.Trimesh, points: NDArray[np.float64]) -> LabelledPoints
 def _check_count(name: str, n: int) -> None:
     if n < 0:
         raise ValueError(f"{name} should be ≥ 0, got {n}")
-
-
-__all__ = ["LabelledPoints", "SurfaceSamples", "contains", "label_box", "label_near", "sample_surface", "signed_volume"]

@@ -4,6 +4,7 @@ Lengths are given as shares of the longest side of the mesh's bounding box, so o
 """
 
 import warnings
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -113,9 +114,9 @@ def inspect_mesh(mesh: trimesh.Trimesh, *, samples: int = 2000) -> MeshReport:
     faces = np.asarray(mesh.faces, dtype=np.int64)
     if len(faces) == 0:
         raise ValueError("mesh should have faces, got none")
-    open_edges, consistent = _edge_report(faces)
+    open_edges, consistent = edge_report(faces)
     side = float(np.ptp(vertices[faces].reshape(-1, 3), axis=0).max())
-    outside, inside, deep = (_winding_beside(vertices, faces, step * side, samples) for step in (1e-4, -1e-4, -1e-2))
+    outside, inside, deep = _winding_beside(vertices, faces, (1e-4 * side, -1e-4 * side, -1e-2 * side), samples)
     return MeshReport(
         open_edges,
         consistent,
@@ -173,7 +174,7 @@ def _finish(
     how: str,
     hollow: float,
 ) -> trimesh.Trimesh:
-    open_edges, consistent = _edge_report(faces)
+    open_edges, consistent = edge_report(faces)
     volume = signed_volume(vertices, faces) if len(faces) else 0.0
     if len(faces) == 0 or open_edges or not consistent or not volume > 0:
         raise ValueError(
@@ -185,7 +186,7 @@ def _finish(
     return closed
 
 
-def _edge_report(faces: NDArray[np.integer]) -> tuple[int, bool]:
+def edge_report(faces: NDArray[np.integer]) -> tuple[int, bool]:
     """Edges that do not have exactly two faces, and whether the two always run in opposite directions."""
     halves = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     forward = halves[:, 0] < halves[:, 1]
@@ -212,11 +213,12 @@ def _surface_points(
 
 
 def _winding_beside(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], step: float, samples: int
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], steps: Sequence[float], samples: int
 ) -> NDArray[np.float64]:
-    """Winding numbers at surface points moved by `step` along the normals."""
+    """Winding numbers (steps, samples) at surface points moved by each of the steps along the normals."""
     points, normals = _surface_points(vertices, faces, samples)
-    return winding_number(vertices, faces, points + step * normals)
+    moved = points + np.asarray(steps)[:, None, None] * normals
+    return winding_number(vertices, faces, moved).reshape(len(steps), samples)
 
 
 def _separates(outside: NDArray[np.float64], inside: NDArray[np.float64]) -> bool:
@@ -225,17 +227,15 @@ def _separates(outside: NDArray[np.float64], inside: NDArray[np.float64]) -> boo
 
 def _orient_closed(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], str] | None:
     """The faces wound outwards when they bound a solid already, else None."""
-    if _edge_report(faces)[0]:
+    if edge_report(faces)[0]:
         return None
 
     def bounds_a_solid(candidate: NDArray[np.int64]) -> bool:
-        sides = (_winding_beside(vertices, candidate, step, 2000) for step in (1e-4, -1e-4))
-        return _edge_report(candidate)[1] and _separates(*sides)
+        return edge_report(candidate)[1] and _separates(*_winding_beside(vertices, candidate, (1e-4, -1e-4), 2000))
 
     if bounds_a_solid(faces):
         return faces, "closed already"
-    oriented = _orient_components(vertices, faces)
-    for candidate in (faces[:, ::-1], oriented):
+    for candidate in (faces[:, ::-1], _orient_components(vertices, faces)):
         if bounds_a_solid(candidate):
             flipped = int((candidate != faces).any(1).sum())
             warnings.warn(f"{flipped} of {len(faces)} faces wound inwards were flipped", stacklevel=4)
@@ -249,19 +249,20 @@ def _orient_components(vertices: NDArray[np.float64], faces: NDArray[np.int64]) 
     forward = halves[:, 0] < halves[:, 1]
     order = np.lexsort((halves.max(1), halves.min(1)))
     first, second = order[0::2], order[1::2]
-    # 1: neighbours agree (the shared edge runs both ways), 2: one of them must be flipped.
-    weight = np.where(forward[first] != forward[second], 1, 2)
+    # 1: neighbours agree (the shared edge runs both ways), 1000: one must be flipped; two shared edges are summed.
+    weight = np.where(forward[first] != forward[second], 1, 1000)
     a, b = first // 3, second // 3
     graph = sparse.coo_array(
         (np.concatenate([weight, weight]), (np.concatenate([a, b]), np.concatenate([b, a]))), (len(faces),) * 2
     ).tocsr()
-    count, component = sparse.csgraph.connected_components(graph, directed=False)
+    component = sparse.csgraph.connected_components(graph, directed=False)[1]
     flip = np.zeros(len(faces), dtype=bool)
-    for label in range(count):
-        start = int(np.argmax(component == label))
-        nodes, parents = sparse.csgraph.breadth_first_order(graph, start, directed=False)
-        for node in nodes[1:]:
-            flip[node] = flip[parents[node]] ^ (graph[parents[node], node] == 2)
+    starts = np.unique(component, return_index=True)[1]
+    for start in starts:
+        nodes, parents = sparse.csgraph.breadth_first_order(graph, start)
+        unlike = np.asarray(graph[parents[nodes[1:]], nodes[1:]]).reshape(-1) >= 1000
+        for node, parent, differs in zip(nodes[1:].tolist(), parents[nodes[1:]].tolist(), unlike.tolist(), strict=True):
+            flip[node] = flip[parent] ^ differs
     oriented = np.where(flip[:, None], faces[:, ::-1], faces)
     corners = vertices[oriented]
     parts = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
