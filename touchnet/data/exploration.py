@@ -94,7 +94,7 @@ def simulate_touches(
             (M, 3) to bool (M,), true where unreachable. A stroke ends there.
         position_noise: standard deviation of the reported positions, isotropic. The Gaussian process sees these.
         normal_noise: standard deviation, in degrees, of the tilt of the reported normals about two tangent axes.
-        dropout: probability in [0, 1) that a contact goes unnoticed; n contacts are still returned.
+        dropout: probability in [0, 1) that a contact goes unnoticed; n are still returned, except by "scan_lines".
 
     Raises:
         TypeError: mesh is not a trimesh.Trimesh.
@@ -477,6 +477,7 @@ class _Starts:
         self.variance = np.ones(self.groups * _LANES)
         self.solved = np.empty((self.groups, n, _LANES))
         self.known = np.zeros(self.groups, dtype=np.uintp)
+        self.jitter = gp.jitter
 
     def next(self, rng: np.random.Generator) -> tuple[Contact, float]:
         """A contact, and the highest variance of the candidates (1 where it is not looked for)."""
@@ -484,6 +485,9 @@ class _Starts:
         if self.anywhere or len(gp) == 0:
             index, highest = int(rng.integers(len(self.points))), 1.0
         else:
+            if gp.jitter != self.jitter:  # the factor was built anew
+                self.jitter = gp.jitter
+                self.variance[:], self.known[:] = 1.0, 0
             index = _C.gp_highest(
                 _KERNELS[gp.kernel],
                 gp.length_scale,
