@@ -17,7 +17,7 @@ from touchnet.data.dataset import Index, ShapeRecord, write_index, write_shape
 from touchnet.train import RECIPES, StepBatches, TrainConfig, learning_rate, main, resolve_recipe, train
 from touchnet.weights import load_model
 
-SMALL_SAMPLES = SampleConfig(queries=256, max_contacts=256)
+SMALL_SAMPLES = SampleConfig(queries=256, min_contacts=63, max_contacts=256)
 
 
 @pytest.fixture(autouse=True)
@@ -228,6 +228,8 @@ def test_recipe_paper_is_the_papers():
     assert (recipe.epochs, recipe.steps, recipe.schedule, recipe.samples) == (200, None, "multistep", PAPER_SAMPLES)
     assert recipe.samples.queries == 4000
     assert resolve_recipe(TrainConfig()) == RECIPES["default"]
+    fewer = resolve_recipe(TrainConfig(recipe="paper", samples=SampleConfig(queries=100)))
+    assert fewer.samples == dataclasses.replace(PAPER_SAMPLES, queries=100)
     mixed = resolve_recipe(TrainConfig(recipe="paper", steps=7, sampling="addition"))
     assert (mixed.steps, mixed.epochs, mixed.model.sampling, mixed.model.network) == (7, None, "addition", "paper")
 
@@ -260,6 +262,8 @@ def test_licences_can_be_left_out(eggs, tmp_path, capsys):
         (["--data", "nowhere"], "nowhere"),
         (["--steps", "0"], "steps should be positive, got 0"),
         (["--steps", "1", "--epochs", "1"], "steps and epochs were both given"),
+        (["--samples.max-contacts", "3"], "min_contacts should lie between 4 and max_contacts, got 64 and 3"),
+        (["--samples.noise", "2"], "samples: noise should lie between 0 and 1, got 2"),
         (["--resume"], "resume: there is no checkpoint"),
         (["--recipe", "best"], "recipe"),
     ],

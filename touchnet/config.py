@@ -76,6 +76,18 @@ class SampleConfig:
     rotate_free: float = 0.2
     """Share of the samples turned freely."""
 
+    def __post_init__(self) -> None:
+        if not 4 <= self.min_contacts <= self.max_contacts:
+            raise ValueError(
+                f"samples: min_contacts should lie between 4 and max_contacts, got {self.min_contacts} and "
+                f"{self.max_contacts}"
+            )
+        if self.queries < 4:
+            raise ValueError(f"samples: queries should be at least 4, got {self.queries}")
+        for name, value in vars(self).items():
+            if isinstance(value, float) and not 0 <= value <= 1:
+                raise ValueError(f"samples: {name} should lie between 0 and 1, got {value}")
+
 
 PAPER_SAMPLES = SampleConfig(
     queries=4000, min_contacts=2048, uniform_contacts=0, one_side=0, no_normals=1, noise=0, stretch=0, rotate_up=0,

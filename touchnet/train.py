@@ -106,8 +106,9 @@ class TrainConfig:
     """Train on these categories only."""
     exclude_licence: tuple[str, ...] = ()
     """Leave out shapes whose licence starts with one of these, such as GPL-2."""
-    samples: SampleConfig | None = None
-    """How samples are drawn; options --samples.NAME (the recipe's where not given)."""
+    samples: SampleConfig = dataclasses.field(default_factory=SampleConfig)
+    """How samples are drawn (recipe paper: 4000 queries, all contacts of a trajectory, mirrored and turned by quarters
+    only; options given here go on top)."""
     shapes: int = 240
     """Size of the embedded data set."""
     cache: Path | None = None
@@ -330,8 +331,11 @@ def train(config: TrainConfig) -> dict[str, float]:
 def resolve_recipe(config: TrainConfig) -> Recipe:
     """The recipe with the options that were given in place of its defaults."""
     recipe = RECIPES[config.recipe]
-    names = ("batch_size", "learning_rate", "schedule", "loss", "balance", "precision", "samples")
+    names = ("batch_size", "learning_rate", "schedule", "loss", "balance", "precision")
     given = {name: getattr(config, name) for name in names if getattr(config, name) is not None}
+    usual = vars(SampleConfig())
+    changed = {name: value for name, value in vars(config.samples).items() if value != usual[name]}
+    given["samples"] = dataclasses.replace(recipe.samples, **changed)
     if config.model is not None:
         given["model"] = MODELS[config.model]
     if config.sampling is not None:
