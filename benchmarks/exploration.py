@@ -93,7 +93,7 @@ def gaussian_process() -> Iterator[Case]:
         target=4,
         limit=read,
         limit_name="reading the factor",
-        repeats=2,
+        repeats=1,
     )
 
 
