@@ -9,6 +9,7 @@
 #include "volume_bindings.h"
 #ifdef TOUCHNET_WITH_CUDA
 #include "cuda/bindings.h"
+#include "cuda/extraction_bindings.h"
 #endif
 
 namespace py = pybind11;
@@ -24,18 +25,12 @@ static T* at(Address address) {
 using Extents = std::array<std::int64_t, 3>;
 using Corner = std::array<double, 3>;
 
-static touchnet::Lattice lattice(const Extents& points, const Corner& lower, const Corner& spacing) {
-  return {{points[0], points[1], points[2]},
-          {lower[0], lower[1], lower[2]},
-          {spacing[0], spacing[1], spacing[2]}};
-}
-
 template <class T>
 static void define_dense_cubes(py::module_& m, const char* name) {
   using Cubes = touchnet::DenseCubes<T>;
   py::class_<Cubes>(m, name)
       .def(py::init([](Address values, Extents points, Corner lower, Corner spacing, double level, int threads) {
-        return new Cubes(at<const T>(values), lattice(points, lower, spacing), level, threads);
+        return new Cubes(at<const T>(values), touchnet::make_lattice(points, lower, spacing), level, threads);
       }))
       .def(
           "count",
@@ -167,10 +162,13 @@ PYBIND11_MODULE(_C, m) {
   });
   define_dense_cubes<float>(m, "DenseCubesFloat");
   define_dense_cubes<double>(m, "DenseCubesDouble");
+#ifdef TOUCHNET_WITH_CUDA
+  touchnet::cuda::define_extraction(m);
+#endif
   using touchnet::OctreeCubes;
   py::class_<OctreeCubes>(m, "OctreeCubes")
       .def(py::init([](Extents points, Corner lower, Corner spacing, double level, std::int64_t stride, int threads) {
-        return new OctreeCubes(lattice(points, lower, spacing), level, stride, threads);
+        return new OctreeCubes(touchnet::make_lattice(points, lower, spacing), level, stride, threads);
       }))
       .def("add_seeds", [](OctreeCubes& cubes, Address points,
                            std::int64_t n) { cubes.add_seeds(at<const double>(points), n); })

@@ -4,6 +4,7 @@
 // (u, v) of the other two axes in order. Why the mesh is closed for every field: docs/marching_cubes.md.
 #pragma once
 
+#include <array>
 #include <cstdint>
 
 #include "cube_table.h"
@@ -32,6 +33,11 @@ struct Lattice {
   double lower[3];
   double spacing[3];
 };
+
+inline Lattice make_lattice(const std::array<int64_t, 3>& points, const std::array<double, 3>& lower,
+                            const std::array<double, 3>& spacing) {
+  return {{points[0], points[1], points[2]}, {lower[0], lower[1], lower[2]}, {spacing[0], spacing[1], spacing[2]}};
+}
 
 // Fraction of the edge from `low` to `high` at which the field meets the level; one end is >= level, the other below.
 TOUCHNET_CUBE_FUNCTION double crossing(double low, double high, double level) {

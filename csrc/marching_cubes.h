@@ -50,4 +50,20 @@ class DenseCubes {
   std::vector<RowOffsets> offsets_;
 };
 
+// The same on a GPU, in three kernels: how many crossed edges each point has and triangles each cell, with the layer
+// around the box (extents + 1 on each axis); then, given the running totals of both, the vertices and the faces.
+namespace cuda {
+
+template <typename T>
+void cube_counts(const T* values, const Lattice& lattice, double level, std::int32_t* edges, std::int32_t* triangles,
+                 std::uintptr_t stream);
+template <typename T>
+void cube_vertices(const T* values, const Lattice& lattice, double level, const std::int64_t* vertices_until,
+                   double* vertices, std::int64_t* low, std::uint8_t* axis_of, std::uintptr_t stream);
+template <typename T>
+void cube_faces(const T* values, const Lattice& lattice, double level, const std::int64_t* vertices_until,
+                const std::int64_t* faces_until, std::int64_t* faces, std::uintptr_t stream);
+
+}  // namespace cuda
+
 }  // namespace touchnet

@@ -1,12 +1,13 @@
 """Marching cubes over a dense volume: a closed mesh from any finite field."""
 
+import math
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from touchnet.ops._ext import _C
-from touchnet.ops._launch import refuse_transforms
+from touchnet.ops._launch import launch, refuse_transforms
 from touchnet.reference._extraction import (
     CROSSING_MARGIN,
     DEFAULT_BOX,
@@ -66,7 +67,8 @@ class _MarchingCubes(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor, Tensor | None, Tensor | None]:
         # low (V,): index in the flat volume of the lower end of a vertex's edge, -1 where the edge leaves the box.
         # axis (V,): the edge's direction.
-        vertices, faces, low, axis = _extract(volume.contiguous(), level, lower, spacing, with_edges)
+        extract = _extract if volume.device.type == "cpu" else _extract_on_gpu
+        vertices, faces, low, axis = extract(volume.contiguous(), level, lower, spacing, with_edges)
         ctx.save_for_backward(volume, low, axis)
         ctx.level, ctx.spacing = level, spacing
         ctx.mark_non_differentiable(*(t for t in (faces, low, axis) if t is not None))
@@ -103,6 +105,27 @@ def _extract(
     vertex_count, face_count, not_finite = cubes.count()
     check_counts(volume, level, not_finite, vertex_count)
     return emit_mesh(cubes, vertex_count, face_count, with_edges)
+
+
+def _extract_on_gpu(
+    volume: Tensor, level: float, lower: list[float], spacing: list[float], with_edges: bool
+) -> tuple[Tensor, Tensor, Tensor | None, Tensor | None]:
+    """The same by the CUDA kernels, with vertices and faces in the order of the points they start from."""
+    source = volume.data_ptr(), tuple(volume.shape), lower, spacing, level
+    count = math.prod(n + 1 for n in volume.shape)  # points and cells with the layer around the box
+    edges, triangles = torch.empty(2, count, dtype=torch.int32, device=volume.device)
+    launch("cube_counts", volume, *source, edges.data_ptr(), triangles.data_ptr())
+    vertices_until, faces_until = edges.cumsum(0), triangles.cumsum(0)
+    vertex_count, face_count = int(vertices_until[-1]), int(faces_until[-1])
+    check_counts(volume, level, int((~volume.isfinite()).sum()), vertex_count)
+    vertices = torch.empty(vertex_count, 3, dtype=torch.float64, device=volume.device)
+    faces = torch.empty(face_count, 3, dtype=torch.long, device=volume.device)
+    low = torch.empty(vertex_count, dtype=torch.long, device=volume.device)
+    axis = torch.empty(vertex_count, dtype=torch.uint8, device=volume.device)
+    outputs = (tensor.data_ptr() for tensor in (vertices, low, axis))
+    launch("cube_vertices", volume, *source, vertices_until.data_ptr(), *outputs)
+    launch("cube_faces", volume, *source, vertices_until.data_ptr(), faces_until.data_ptr(), faces.data_ptr())
+    return (vertices, faces, low, axis) if with_edges else (vertices, faces, None, None)
 
 
 def emit_mesh(
