@@ -14,7 +14,17 @@ from PIL import Image
 from touchnet import evaluate as command
 from touchnet.config import MODELS
 from touchnet.data.dataset import Index, ShapeRecord, write_index, write_shape
-from touchnet.evaluate import TRUTH, EvaluateConfig, Method, Task, evaluate, main, result_keys, summarise, tasks_of
+from touchnet.evaluate import (
+    TRUTH,
+    EvaluateConfig,
+    Method,
+    Task,
+    evaluate,
+    main,
+    result_keys,
+    summarise,
+    tasks_of,
+)
 from touchnet.metrics import inside_mesh, sample_surface
 from touchnet.models import TouchNet
 from touchnet.weights import save_weights

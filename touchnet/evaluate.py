@@ -28,6 +28,7 @@ from tqdm import tqdm
 from touchnet import cli
 from touchnet.baselines import convex_hull, screened_poisson
 from touchnet.data.dataset import INDEX, ShapeFile, TouchDataset
+from touchnet.data.samples import contact_rows
 from touchnet.metrics import DEFINITIONS, THRESHOLDS, PaperTruth, SurfaceTruth, inside_mesh, surface_keys
 
 PAPER_SAMPLES = 4096  # of each kind (each sigma of `near`, and `box`) in the protocol `paper`
@@ -72,7 +73,10 @@ class EvaluateConfig:
     trajectories: int | None = None
     """At most this many trajectories a shape; all of them by default."""
     contacts: tuple[int, ...] = (128, 512, 2048)
-    """Numbers of contacts: the first n of each trajectory."""
+    """Numbers of contacts."""
+    take: Literal["spread", "first"] = "spread"
+    """Which n contacts of a trajectory: spread evenly along it (a probe that reports less often), or the first n (an
+    exploration under way, which has not seen all sides yet)."""
     normals: Literal["both", "with", "without"] = "both"
     """Whether methods that can do without contact normals get them."""
     protocols: tuple[Literal["surface", "paper"], ...] = ("surface", "paper")
@@ -203,8 +207,9 @@ def evaluate_shape(
         if task.method == TRUTH:
             result: trimesh.Trimesh | None = mesh
         else:
-            some = touches[task.trajectory, : task.contacts]
-            directions = normals[task.trajectory, : task.contacts] if task.normals else None
+            chosen = contact_rows(touches.shape[1], task.contacts, config.take)
+            some = touches[task.trajectory, chosen]
+            directions = normals[task.trajectory, chosen] if task.normals else None
             start = time.perf_counter()
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
@@ -227,7 +232,8 @@ def evaluate_shape(
         if _is_drawn(config, task):
             drawn[task.method, task.normals] = result
     if picture is not None:
-        _draw(picture, touches[0, : max(config.contacts)], drawn, mesh)
+        shown = contact_rows(touches.shape[1], max(config.contacts), config.take)
+        _draw(picture, touches[0, shown] if len(touches) else touches.reshape(-1, 3), drawn, mesh)
     return rows
 
 
@@ -635,6 +641,7 @@ def evaluate(config: EvaluateConfig, *, command: str = "") -> list[Summary]:
         "resolution": config.resolution,
         "samples": config.samples,
         "seed": config.seed,
+        "take": config.take,
         "protocols": list(config.protocols),
     }
     progress = config.output / "progress.jsonl"

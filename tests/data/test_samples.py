@@ -9,7 +9,7 @@ from scipy.spatial import Delaunay
 from torch.utils.data import DataLoader
 
 from touchnet.config import PAPER_SAMPLES, SampleConfig
-from touchnet.data.samples import TrainingSamples, validation_sample
+from touchnet.data.samples import TrainingSamples, contact_rows, validation_sample
 
 STILL = dataclasses.replace(
     SampleConfig(), uniform_contacts=0, one_side=0, no_normals=0, noise=0, stretch=0, rotate_up=0, rotate_free=0
@@ -178,12 +178,21 @@ def test_no_shapes_is_an_error():
         TrainingSamples(Shapes(), SampleConfig())
 
 
-def test_validation_sample_is_the_beginning_of_the_first_trajectory():
+def test_which_contacts_are_taken():
+    assert contact_rows(8, 4, "spread").tolist() == [0, 2, 4, 6]
+    assert contact_rows(8, 3, "spread").tolist() == [0, 2, 5]
+    assert contact_rows(8, 3, "first").tolist() == [0, 1, 2]
+    for take in ("spread", "first"):
+        assert contact_rows(3, 8, take).tolist() == [0, 1, 2]
+
+
+def test_validation_sample_is_spread_over_the_first_trajectory():
     wedge = Wedge()
     sample = validation_sample(wedge, 128, normals=False, queries=1000)
     assert sample.touches.shape == (128, 3) and not sample.normals.any()
     assert np.ptp(sample.touches, axis=0).max() == pytest.approx(1.8, abs=1e-5)
-    back = sample.touches * (np.ptp(wedge.stored["touches"][0, :128], axis=0).max() / 1.8)
-    assert np.allclose(back - back[0], wedge.stored["touches"][0, :128] - wedge.stored["touches"][0, 0], atol=1e-5)
+    some = wedge.stored["touches"][0, ::16]
+    back = sample.touches * (np.ptp(some, axis=0).max() / 1.8)
+    assert np.allclose(back - back[0], some - some[0], atol=1e-5)
     assert np.array_equal(sample.inside > 0.5, wedge.inside("box")[:1000])
     assert validation_sample(wedge, 128, normals=True).normals.any()

@@ -77,12 +77,25 @@ class TrainingSamples(Dataset):
         )
 
 
+def contact_rows(stored: int, wanted: int, take: str = "spread") -> np.ndarray:
+    """Which `wanted` rows of a trajectory of `stored` contacts are used (all, where it has fewer).
+
+    Args:
+        take: "spread" evenly along it (a probe that reports less often), or the "first" ones (not all sides seen yet).
+    """
+    if take == "first" or wanted >= stored:
+        return np.arange(min(stored, wanted))
+    return np.arange(wanted) * stored // wanted
+
+
 def validation_sample(
     shape: ShapeFile, contacts: int, *, normals: bool, index: int = 0, queries: int = 16384
 ) -> Sample:
-    """The first `contacts` contacts of the first trajectory and uniform labelled points of the shape's box, unmoved."""
-    touches = np.asarray(shape.array("touches")[0, :contacts], dtype=np.float64)
-    directions = np.asarray(shape.array("touch_normals")[0, :contacts], dtype=np.float64)
+    """`contacts` contacts spread over the first trajectory and uniform labelled points of the shape's box, unmoved."""
+    trajectory = shape.array("touches")[0]
+    rows = contact_rows(len(trajectory), contacts)
+    touches = trajectory[rows].astype(np.float64)
+    directions = shape.array("touch_normals")[0, rows].astype(np.float64)
     frame = Frame.fit(touches)
     points = frame.to_cube(np.asarray(shape.rows("box", 0, queries), dtype=np.float64))
     return Sample(
