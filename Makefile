@@ -15,7 +15,7 @@ $(INSTALLED): $(SOURCES)
 	touch $@
 
 demo: $(INSTALLED)
-	$(RUN) -m examples.demo --output runs/demo
+	$(RUN) examples/demo.py --output runs/demo
 
 test: $(INSTALLED)
 	$(RUN) -m pytest
