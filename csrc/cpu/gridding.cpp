@@ -1,32 +1,42 @@
 #include "gridding.h"
 
+#include "block.h"
 #include "slabs.h"
 
 namespace touchnet {
 namespace {
 
-// Adds batch item b's points to rows [low, high) of its volume. kOnlyDensity: no values.
-template <bool kOnlyDensity, typename T>
-TN_INLINE void add_points(const T* points, const T* values, std::int64_t n, T* item, const VolumeShape& shape,
-                          std::int64_t low, std::int64_t high) {
-  const std::int64_t count = shape.channels - 1;
-  const bool whole = low == 0 && high == shape.nx;
-  for (std::int64_t p = 0; p < n; ++p) {
-    const T* point = points + 3 * p;
-    if (!inside_cube(point[0], point[1], point[2])) continue;
-    const Cell<T> cell = locate_point(point, shape.nx, shape.ny, shape.nz);
-    if (!whole && (cell.x.index + 1 < low || cell.x.index >= high)) continue;
-    T* base = item + shape.offset(cell);
-    for (int corner = 0; corner < 8; ++corner) {
-      const std::int64_t row = cell.x.index + (corner >> 2);
-      if (!whole && (row < low || row >= high)) continue;
-      T* vertex = base + shape.corner(corner);
-      const T weight = cell.weight(corner);
-      vertex[0] += weight;
-      if (!kOnlyDensity)
-        for (std::int64_t k = 0; k < count; ++k) vertex[(k + 1) * shape.stride_c] += weight * values[p * count + k];
-    }
-  }
+// Adds a batch item's points to rows [low, high) of its volume. kDensity: no values.
+template <bool kDensity, typename T>
+void add_points(const T* points, const T* values, std::int64_t n, T* item, const VolumeShape& shape, std::int64_t low,
+                std::int64_t high) {
+  const std::int64_t count = kDensity ? 0 : shape.channels - 1;
+  const Corners corners(shape);
+  run_vectorised([&]() TN_LAMBDA_INLINE {
+    Block<T> block;
+    std::int32_t first[Block<T>::kSize], last[Block<T>::kSize];
+    for_blocks<T>(0, n, n, [&](std::int64_t, std::int64_t start, int size) TN_LAMBDA_INLINE {
+      block.locate(points + 3 * start, size, shape, Outside::ignore);
+      block.trilinear_weights(size);
+      for (int p = 0; p < size; ++p) corners_in_slab(block, p, low, high, first + p, last + p);
+      for (int p = 0; p < size; ++p) {
+        T* base = item + block.offset[p];
+        const T* point_values = kDensity ? nullptr : values + (start + p) * count;
+        const auto add = [&](int corner) TN_LAMBDA_INLINE {
+          T* vertex = base + corners.at[corner];
+          const T weight = block.weight[corner][p];
+          vertex[0] += weight;
+          if (!kDensity)
+            for (std::int64_t k = 0; k < count; ++k) vertex[(k + 1) * shape.stride_c] += weight * point_values[k];
+        };
+        if (first[p] == 0)
+          if (last[p] > 0)
+            for (int corner = 0; corner < 4; ++corner) add(corner);
+        if (last[p] == 8)
+          for (int corner = 4; corner < 8; ++corner) add(corner);
+      }
+    });
+  });
 }
 
 }  // namespace
@@ -34,14 +44,14 @@ TN_INLINE void add_points(const T* points, const T* values, std::int64_t n, T* i
 template <typename T>
 void gridding_forward(const T* points, const T* values, std::int64_t n, T* volume, VolumeShape shape, int threads) {
   const std::int64_t count = shape.channels - 1;
-  scatter_in_slabs(volume, shape, points, n, 8.0 + 4.0 * count, threads,
-                   [&](std::int64_t b, std::int64_t low, std::int64_t high) {
-                     T* item = volume + b * shape.stride_b;
-                     if (count == 0)
-                       add_points<true>(points + 3 * b * n, values, n, item, shape, low, high);
-                     else
-                       add_points<false>(points + 3 * b * n, values + b * n * count, n, item, shape, low, high);
-                   });
+  const auto add = [&](std::int64_t b, std::int64_t low, std::int64_t high) {
+    T* item = volume + b * shape.stride_b;
+    if (count == 0)
+      add_points<true>(points + 3 * b * n, values, n, item, shape, low, high);
+    else
+      add_points<false>(points + 3 * b * n, values + b * n * count, n, item, shape, low, high);
+  };
+  scatter_in_slabs(volume, shape, points, n, 8.0 + 4.0 * count, threads, add);
 }
 
 template <typename T>
@@ -49,31 +59,47 @@ void gridding_backward(const T* grad_volume, VolumeShape shape, const T* points,
                        T* grad_points, T* grad_values, int threads) {
   const std::int64_t count = shape.channels - 1;
   const double microseconds = shape.batch * n * (8.0 + 4.0 * count) * 1e-3;
+  const Corners corners(shape);
   parallel_for(0, shape.batch * n, worth_threads(microseconds, threads), [&](std::int64_t first, std::int64_t last) {
-    for (std::int64_t p = first; p < last; ++p) {
-      const T* point = points + 3 * p;
-      T gradient[3] = {T(0), T(0), T(0)};
-      if (grad_values)
-        for (std::int64_t k = 0; k < count; ++k) grad_values[p * count + k] = T(0);
-      if (inside_cube(point[0], point[1], point[2])) {
-        const Cell<T> cell = locate_point(point, shape.nx, shape.ny, shape.nz);
-        const T* base = grad_volume + (p / n) * shape.stride_b + shape.offset(cell);
-        for (int corner = 0; corner < 8; ++corner) {
-          const T* vertex = base + shape.corner(corner);
-          T along = vertex[0];  // d loss / d weight of this corner
+    run_vectorised([&]() TN_LAMBDA_INLINE {
+      Block<T> block;
+      T along[8][Block<T>::kSize];  // d loss / d weight of each corner
+      for_blocks<T>(first, last, n, [&](std::int64_t b, std::int64_t start, int size) TN_LAMBDA_INLINE {
+        block.locate(points + 3 * start, size, shape, Outside::ignore);
+        block.trilinear_weights(size);
+        const T* item = grad_volume + b * shape.stride_b;
+        for (int p = 0; p < size; ++p) {
+          const T* base = item + block.offset[p];
+          for (int corner = 0; corner < 8; ++corner) along[corner][p] = base[corners.at[corner]];
           for (std::int64_t k = 0; k < count; ++k) {
-            const T g = vertex[(k + 1) * shape.stride_c];
-            along += values[p * count + k] * g;
-            if (grad_values) grad_values[p * count + k] += cell.weight(corner) * g;
+            const std::int64_t row = (start + p) * count + k;
+            T sum = T(0);
+            for (int corner = 0; corner < 8; ++corner) {
+              const T g = base[corners.at[corner] + (k + 1) * shape.stride_c];
+              along[corner][p] += values[row] * g;
+              sum += block.weight[corner][p] * g;
+            }
+            if (grad_values) grad_values[row] = block.counts[p] ? sum : T(0);
           }
-          gradient[0] += cell.weight_dx(corner) * along;
-          gradient[1] += cell.weight_dy(corner) * along;
-          gradient[2] += cell.weight_dz(corner) * along;
         }
-      }
-      if (grad_points)
-        for (int axis = 0; axis < 3; ++axis) grad_points[3 * p + axis] = gradient[axis];
-    }
+        if (!grad_points) return;
+        T gradient[3][Block<T>::kSize];
+        for (int p = 0; p < size; ++p) {
+          const Cell<T> cell = block.cell(p);
+          T dx = T(0), dy = T(0), dz = T(0);
+          for (int corner = 0; corner < 8; ++corner) {
+            dx += cell.weight_dx(corner) * along[corner][p];
+            dy += cell.weight_dy(corner) * along[corner][p];
+            dz += cell.weight_dz(corner) * along[corner][p];
+          }
+          gradient[0][p] = block.counts[p] ? dx : T(0);
+          gradient[1][p] = block.counts[p] ? dy : T(0);
+          gradient[2][p] = block.counts[p] ? dz : T(0);
+        }
+        for (int p = 0; p < size; ++p)
+          for (int axis = 0; axis < 3; ++axis) grad_points[3 * (start + p) + axis] = gradient[axis][p];
+      });
+    });
   });
 }
 

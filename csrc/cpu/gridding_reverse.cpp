@@ -74,11 +74,20 @@ void gridding_reverse_forward(const T* volume, VolumeShape shape, T fill, T* poi
                          const Rows<T> rows = rows_of(item, shape, i, j, start);
                          for (int k = 0; k < count; ++k) fractions(rows, k, x + k, y + k, z + k, inverse + k);
                          for (int k = 0; k < count; ++k) {
-                           T* point = line + 3 * (start + k);
-                           const bool filled = inverse[k] != T(0);
-                           point[0] = filled ? x0 + step_x * x[k] : fill;
-                           point[1] = filled ? y0 + step_y * y[k] : fill;
-                           point[2] = filled ? z_of[start + k] + step_z * z[k] : fill;
+                           x[k] = x0 + step_x * x[k];
+                           y[k] = y0 + step_y * y[k];
+                           z[k] = z_of[start + k] + step_z * z[k];
+                         }
+                         for (int k = 0; k < count; ++k) {
+                           x[k] = inverse[k] != T(0) ? x[k] : fill;
+                           y[k] = inverse[k] != T(0) ? y[k] : fill;
+                           z[k] = inverse[k] != T(0) ? z[k] : fill;
+                         }
+                         T* __restrict point = line + 3 * start;
+                         for (int k = 0; k < count; ++k) {
+                           point[3 * k] = x[k];
+                           point[3 * k + 1] = y[k];
+                           point[3 * k + 2] = z[k];
                          }
                        }
                        std::fill(line + 3 * (nz - 1), line + 3 * nz, fill);
@@ -116,14 +125,17 @@ void gridding_reverse_backward(const T* grad_points, const T* volume, VolumeShap
                            for (int k = 0; k < count; ++k) {
                              const T gx = step_x * g[3 * k], gy = step_y * g[3 * k + 1], gz = step_z * g[3 * k + 2];
                              const T base = gx * (upper_x - x[k]) - gy * y[k] - gz * z[k];
-                             // An empty cell passes nothing on, not even a gradient that is not finite.
-                             const bool filled = inverse[k] != T(0);
-                             at_y0[k] = filled ? base * inverse[k] : T(0);
-                             at_y1[k] = filled ? (base + gy) * inverse[k] : T(0);
-                             along_z[k] = filled ? gz * inverse[k] : T(0);
+                             at_y0[k] = base * inverse[k];
+                             at_y1[k] = (base + gy) * inverse[k];
+                             along_z[k] = gz * inverse[k];
                            }
-                           T* y0 = result + j * nz + start;
-                           T* y1 = y0 + nz;
+                           for (int k = 0; k < count; ++k) {  // an empty cell passes nothing on, not even NaN
+                             at_y0[k] = inverse[k] != T(0) ? at_y0[k] : T(0);
+                             at_y1[k] = inverse[k] != T(0) ? at_y1[k] : T(0);
+                             along_z[k] = inverse[k] != T(0) ? along_z[k] : T(0);
+                           }
+                           T* __restrict y0 = result + j * nz + start;
+                           T* __restrict y1 = y0 + nz;
                            for (int k = 0; k < count; ++k) y0[k] += at_y0[k];
                            for (int k = 0; k < count; ++k) y0[k + 1] += at_y0[k] + along_z[k];
                            for (int k = 0; k < count; ++k) y1[k] += at_y1[k];

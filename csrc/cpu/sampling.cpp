@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <limits>
 
+#include "block.h"
 #include "slabs.h"
 
 namespace touchnet {
@@ -15,93 +16,67 @@ enum class Kind { trilinear, addition };
 template <typename T>
 constexpr int kLanes = 64 / sizeof(T);
 
-// Points are located a block at a time, so that the loads of a block overlap.
-constexpr int kBlock = 64;
+// How many points ahead the eight rows of a point are prefetched: they lie anywhere in the volume.
+constexpr int kAhead = 3;
 
 template <typename T>
-struct Block {
-  std::int64_t offset[kBlock];  // lower corner of the cell, in elements from the start of the batch item
-  Cell<T> cell[kBlock];
-  bool finite[kBlock];
+TN_INLINE void prefetch_corners(const T* base, const Corners& corners) {
+  for (int c = 0; c < 8; ++c) TN_PREFETCH(base + corners.at[c]);
+}
 
-  TN_INLINE void locate(const T* points, int count, const VolumeShape& shape) {
-    for (int p = 0; p < count; ++p) {
-      const T* point = points + 3 * p;
-      const T zero[3] = {T(0), T(0), T(0)};
-      finite[p] = all_finite(point[0], point[1], point[2]);
-      cell[p] = locate_point(finite[p] ? point : zero, shape.nx, shape.ny, shape.nz);
-      offset[p] = shape.offset(cell[p]);
-    }
-  }
-};
-
-template <typename T>
-struct Corners {
-  std::int64_t at[8];
-  explicit Corners(const VolumeShape& shape) {
-    for (int c = 0; c < 8; ++c) at[c] = shape.corner(c);
-  }
-};
-
-// Weights of the eight corners; NaN for a point that is not finite, which makes its row NaN.
+// Locates a block and weighs its corners; a point that is not finite gets NaN weights, which make its row NaN.
 template <Kind kind, typename T>
-TN_INLINE void corner_weights(const Cell<T>& cell, bool finite, T* weights) {
-  for (int c = 0; c < 8; ++c) {
-    const T weight = kind == Kind::trilinear ? cell.weight(c) : T(1);
-    weights[c] = finite ? weight : std::numeric_limits<T>::quiet_NaN();
-  }
+TN_INLINE void prepare(Block<T>& block, const T* points, int count, const VolumeShape& shape) {
+  block.locate(points, count, shape, Outside::clamp);
+  if (kind == Kind::trilinear)
+    block.trilinear_weights(count);
+  else
+    block.unit_weights(count);
+  for (int corner = 0; corner < 8; ++corner)
+    for (int p = 0; p < count; ++p)
+      block.weight[corner][p] = block.counts[p] ? block.weight[corner][p] : std::numeric_limits<T>::quiet_NaN();
 }
 
 // One row of sums over the eight corners; lanes is a compile-time number of channels at base.
 template <int lanes, typename T>
-TN_INLINE void weighted_sum(const T* base, const Corners<T>& corners, const T* weights, T* out) {
+TN_INLINE void weighted_sum(const T* base, const Corners& corners, const Block<T>& block, int p, T* out) {
   T sum[lanes];
-  for (int l = 0; l < lanes; ++l) sum[l] = weights[0] * base[corners.at[0] + l];
+  for (int l = 0; l < lanes; ++l) sum[l] = block.weight[0][p] * base[corners.at[0] + l];
   for (int c = 1; c < 8; ++c) {
     const T* vertex = base + corners.at[c];
-    for (int l = 0; l < lanes; ++l) sum[l] += weights[c] * vertex[l];
+    const T weight = block.weight[c][p];
+    for (int l = 0; l < lanes; ++l) sum[l] += weight * vertex[l];
   }
   for (int l = 0; l < lanes; ++l) out[l] = sum[l];
 }
 
-// Splits [0, batch * m) into blocks that stay within a batch item and calls fn(b, first point, count).
-template <typename Fn>
-TN_INLINE void for_blocks(std::int64_t first, std::int64_t last, std::int64_t m, const Fn& fn) {
-  while (first < last) {
-    const std::int64_t b = first / m;
-    const std::int64_t end = std::min({last, (b + 1) * m, first + kBlock});
-    fn(b, first, static_cast<int>(end - first));
-    first = end;
-  }
-}
-
 template <Kind kind, typename T>
 void sample_forward(const T* volume, VolumeShape shape, const T* points, std::int64_t m, T* out, int threads) {
-  const Corners<T> corners(shape);
+  const Corners corners(shape);
   const std::int64_t channels = shape.channels;
   const double microseconds = shape.batch * m * (6.0 + 0.5 * channels) * 1e-3;
   parallel_for(0, shape.batch * m, worth_threads(microseconds, threads), [&](std::int64_t first, std::int64_t last) {
     run_vectorised([&]() TN_LAMBDA_INLINE {
       Block<T> block;
-      for_blocks(first, last, m, [&](std::int64_t b, std::int64_t start, int count) TN_LAMBDA_INLINE {
+      for_blocks<T>(first, last, m, [&](std::int64_t b, std::int64_t start, int count) TN_LAMBDA_INLINE {
         const T* item = volume + b * shape.stride_b;
-        block.locate(points + 3 * start, count, shape);
-        T weights[kBlock][8];
-        for (int p = 0; p < count; ++p) corner_weights<kind>(block.cell[p], block.finite[p], weights[p]);
+        prepare<kind>(block, points + 3 * start, count, shape);
         if (shape.stride_c == 1) {
+          for (int p = 0; p < kAhead && p < count; ++p) prefetch_corners(item + block.offset[p], corners);
           for (int p = 0; p < count; ++p) {
+            if (p + kAhead < count) prefetch_corners(item + block.offset[p + kAhead], corners);
             const T* base = item + block.offset[p];
             T* row = out + (start + p) * channels;
             std::int64_t c = 0;
             for (; c + kLanes<T> <= channels; c += kLanes<T>)
-              weighted_sum<kLanes<T>>(base + c, corners, weights[p], row + c);
-            for (; c + 4 <= channels; c += 4) weighted_sum<4>(base + c, corners, weights[p], row + c);
-            for (; c < channels; ++c) weighted_sum<1>(base + c, corners, weights[p], row + c);
+              weighted_sum<kLanes<T>>(base + c, corners, block, p, row + c);
+            for (; c + 4 <= channels; c += 4) weighted_sum<4>(base + c, corners, block, p, row + c);
+            for (; c < channels; ++c) weighted_sum<1>(base + c, corners, block, p, row + c);
           }
         } else {
           for (std::int64_t c = 0; c < channels; ++c)
             for (int p = 0; p < count; ++p)
-              weighted_sum<1>(item + c * shape.stride_c + block.offset[p], corners, weights[p],
+              weighted_sum<1>(item + c * shape.stride_c + block.offset[p], corners, block, p,
                               out + (start + p) * channels + c);
         }
       });
@@ -109,57 +84,56 @@ void sample_forward(const T* volume, VolumeShape shape, const T* points, std::in
   });
 }
 
+// vertex += weight * gradient over the channels.
+template <typename T>
+TN_INLINE void add_row(T* vertex, T weight, const T* gradient, std::int64_t channels) {
+  std::int64_t c = 0;
+  for (; c + kLanes<T> <= channels; c += kLanes<T>)
+    for (int l = 0; l < kLanes<T>; ++l) vertex[c + l] += weight * gradient[c + l];
+  for (; c < channels; ++c) vertex[c] += weight * gradient[c];
+}
+
 template <Kind kind, typename T>
 void sample_backward_volume(const T* grad_out, const T* points, std::int64_t m, T* grad_volume, VolumeShape shape,
                             int threads) {
-  const Corners<T> corners(shape);
+  const Corners corners(shape);
   const std::int64_t channels = shape.channels;
-  scatter_in_slabs(grad_volume, shape, points, m, 10.0 + 1.0 * channels, threads,
-                   [&](std::int64_t b, std::int64_t low, std::int64_t high) {
-                     run_vectorised([&]() TN_LAMBDA_INLINE {
-                       T* item = grad_volume + b * shape.stride_b;
-                       Block<T> block;
-                       for_blocks(b * m, (b + 1) * m, m,
-                                  [&](std::int64_t, std::int64_t start, int count) TN_LAMBDA_INLINE {
-                                    block.locate(points + 3 * start, count, shape);
-                                    T weights[kBlock][8];
-                                    for (int p = 0; p < count; ++p)
-                                      corner_weights<kind>(block.cell[p], block.finite[p], weights[p]);
-                                    const auto corner_in_slab = [&](int p, int corner) TN_LAMBDA_INLINE {
-                                      const std::int64_t row = block.cell[p].x.index + (corner >> 2);
-                                      return block.finite[p] && row >= low && row < high;
-                                    };
-                                    if (shape.stride_c == 1) {
-                                      for (int p = 0; p < count; ++p) {
-                                        const T* gradient = grad_out + (start + p) * channels;
-                                        for (int corner = 0; corner < 8; ++corner) {
-                                          if (!corner_in_slab(p, corner)) continue;
-                                          T* vertex = item + block.offset[p] + corners.at[corner];
-                                          for (std::int64_t c = 0; c < channels; ++c)
-                                            vertex[c] += weights[p][corner] * gradient[c];
-                                        }
-                                      }
-                                    } else {
-                                      for (std::int64_t c = 0; c < channels; ++c) {
-                                        for (int p = 0; p < count; ++p) {
-                                          T* base = item + c * shape.stride_c + block.offset[p];
-                                          const T gradient = grad_out[(start + p) * channels + c];
-                                          for (int corner = 0; corner < 8; ++corner)
-                                            if (corner_in_slab(p, corner))
-                                              base[corners.at[corner]] += weights[p][corner] * gradient;
-                                        }
-                                      }
-                                    }
-                                  });
-                     });
-                   });
+  const auto add = [&](std::int64_t b, std::int64_t low, std::int64_t high) {
+    run_vectorised([&]() TN_LAMBDA_INLINE {
+      T* item = grad_volume + b * shape.stride_b;
+      Block<T> block;
+      std::int32_t first[Block<T>::kSize], last[Block<T>::kSize];  // corners of each point within the slab
+      for_blocks<T>(b * m, (b + 1) * m, m, [&](std::int64_t, std::int64_t start, int count) TN_LAMBDA_INLINE {
+        prepare<kind>(block, points + 3 * start, count, shape);
+        for (int p = 0; p < count; ++p) corners_in_slab(block, p, low, high, first + p, last + p);
+        if (shape.stride_c == 1) {
+          for (int p = 0; p < count; ++p) {
+            if (p + kAhead < count && last[p + kAhead] > 0) prefetch_corners(item + block.offset[p + kAhead], corners);
+            const T* gradient = grad_out + (start + p) * channels;
+            for (int corner = first[p]; corner < last[p]; ++corner)
+              add_row(item + block.offset[p] + corners.at[corner], block.weight[corner][p], gradient, channels);
+          }
+        } else {
+          for (std::int64_t c = 0; c < channels; ++c) {
+            for (int p = 0; p < count; ++p) {
+              T* base = item + c * shape.stride_c + block.offset[p];
+              const T gradient = grad_out[(start + p) * channels + c];
+              for (int corner = first[p]; corner < last[p]; ++corner)
+                base[corners.at[corner]] += block.weight[corner][p] * gradient;
+            }
+          }
+        }
+      });
+    });
+  };
+  scatter_in_slabs(grad_volume, shape, points, m, 10.0 + 1.0 * channels, threads, add);
 }
 
 // The derivative of the interpolated value along each axis in cell units, times the output's gradient, added into
 // sum[axis][lane]. Linear interpolation along x, then y, then z; each stage's difference is the derivative before it.
 template <int lanes, typename T>
-TN_INLINE void add_derivatives(const T* base, const Corners<T>& corners, const Cell<T>& cell, const T* gradient,
-                               T* sum_x, T* sum_y, T* sum_z) {
+TN_INLINE void add_derivatives(const T* base, const Corners& corners, const Cell<T>& cell, const T* gradient, T* sum_x,
+                               T* sum_y, T* sum_z) {
   const T x = cell.x.t, y = cell.y.t, z = cell.z.t;
   for (int l = 0; l < lanes; ++l) {
     const T* v = base + l;
@@ -187,18 +161,19 @@ TN_INLINE T tree_sum(T* values) {
 template <typename T>
 void trilinear_backward_points(const T* grad_out, const T* volume, VolumeShape shape, const T* points, std::int64_t m,
                                T* grad_points, int threads) {
-  const Corners<T> corners(shape);
+  const Corners corners(shape);
   const std::int64_t channels = shape.channels;
   const double microseconds = shape.batch * m * (10.0 + 1.0 * channels) * 1e-3;
   parallel_for(0, shape.batch * m, worth_threads(microseconds, threads), [&](std::int64_t first, std::int64_t last) {
     run_vectorised([&]() TN_LAMBDA_INLINE {
       constexpr int lanes = kLanes<T>;
       Block<T> block;
-      for_blocks(first, last, m, [&](std::int64_t b, std::int64_t start, int count) TN_LAMBDA_INLINE {
+      for_blocks<T>(first, last, m, [&](std::int64_t b, std::int64_t start, int count) TN_LAMBDA_INLINE {
         const T* item = volume + b * shape.stride_b;
-        block.locate(points + 3 * start, count, shape);
+        block.locate(points + 3 * start, count, shape, Outside::clamp);
         for (int p = 0; p < count; ++p) {
-          const Cell<T>& cell = block.cell[p];
+          if (p + kAhead < count && shape.stride_c == 1) prefetch_corners(item + block.offset[p + kAhead], corners);
+          const Cell<T> cell = block.cell(p);
           const T* base = item + block.offset[p];
           const T* gradient = grad_out + (start + p) * channels;
           T x[lanes] = {}, y[lanes] = {}, z[lanes] = {};
@@ -211,7 +186,7 @@ void trilinear_backward_points(const T* grad_out, const T* volume, VolumeShape s
             add_derivatives<1>(base + c * shape.stride_c, corners, cell, gradient + c, x + l, y + l, z + l);
           }
           T* result = grad_points + 3 * (start + p);
-          const bool finite = block.finite[p];
+          const bool finite = block.counts[p];
           result[0] = finite ? cell.x.slope * tree_sum<lanes>(x) : T(0);
           result[1] = finite ? cell.y.slope * tree_sum<lanes>(y) : T(0);
           result[2] = finite ? cell.z.slope * tree_sum<lanes>(z) : T(0);
@@ -245,17 +220,17 @@ void addition_backward_volume(const T* grad_out, const T* points, std::int64_t m
 
 template <typename T>
 void cubic_forward(const T* volume, VolumeShape shape, const T* points, std::int64_t m, T* out, int threads) {
-  const Corners<T> corners(shape);
+  const Corners corners(shape);
   const std::int64_t channels = shape.channels;
   const double microseconds = shape.batch * m * (6.0 + 3.0 * channels) * 1e-3;
   parallel_for(0, shape.batch * m, worth_threads(microseconds, threads), [&](std::int64_t first, std::int64_t last) {
     Block<T> block;
-    for_blocks(first, last, m, [&](std::int64_t b, std::int64_t start, int count) {
+    for_blocks<T>(first, last, m, [&](std::int64_t b, std::int64_t start, int count) {
       const T* item = volume + b * shape.stride_b;
-      block.locate(points + 3 * start, count, shape);
+      block.locate(points + 3 * start, count, shape, Outside::clamp);
       for (int p = 0; p < count; ++p) {
         T* rows = out + (start + p) * 8 * channels;
-        if (!block.finite[p]) {
+        if (!block.counts[p]) {
           std::fill(rows, rows + 8 * channels, std::numeric_limits<T>::quiet_NaN());
           continue;
         }
@@ -275,29 +250,30 @@ void cubic_forward(const T* volume, VolumeShape shape, const T* points, std::int
 template <typename T>
 void cubic_backward_volume(const T* grad_out, const T* points, std::int64_t m, T* grad_volume, VolumeShape shape,
                            int threads) {
-  const Corners<T> corners(shape);
+  const Corners corners(shape);
   const std::int64_t channels = shape.channels;
-  scatter_in_slabs(grad_volume, shape, points, m, 10.0 + 1.0 * channels, threads,
-                   [&](std::int64_t b, std::int64_t low, std::int64_t high) {
-                     T* item = grad_volume + b * shape.stride_b;
-                     Block<T> block;
-                     for_blocks(b * m, (b + 1) * m, m, [&](std::int64_t, std::int64_t start, int count) {
-                       block.locate(points + 3 * start, count, shape);
-                       for (int p = 0; p < count; ++p) {
-                         if (!block.finite[p]) continue;
-                         for (int corner = 0; corner < 8; ++corner) {
-                           const std::int64_t row = block.cell[p].x.index + (corner >> 2);
-                           if (row < low || row >= high) continue;
-                           T* vertex = item + block.offset[p] + corners.at[corner];
-                           const T* gradient = grad_out + ((start + p) * 8 + corner) * channels;
-                           if (shape.stride_c == 1)
-                             for (std::int64_t c = 0; c < channels; ++c) vertex[c] += gradient[c];
-                           else
-                             for (std::int64_t c = 0; c < channels; ++c) vertex[c * shape.stride_c] += gradient[c];
-                         }
-                       }
-                     });
-                   });
+  const auto add = [&](std::int64_t b, std::int64_t low, std::int64_t high) {
+    run_vectorised([&]() TN_LAMBDA_INLINE {
+      T* item = grad_volume + b * shape.stride_b;
+      Block<T> block;
+      for_blocks<T>(b * m, (b + 1) * m, m, [&](std::int64_t, std::int64_t start, int count) TN_LAMBDA_INLINE {
+        block.locate(points + 3 * start, count, shape, Outside::clamp);
+        for (int p = 0; p < count; ++p) {
+          std::int32_t first, last;
+          corners_in_slab(block, p, low, high, &first, &last);
+          for (int corner = first; corner < last; ++corner) {
+            T* vertex = item + block.offset[p] + corners.at[corner];
+            const T* gradient = grad_out + ((start + p) * 8 + corner) * channels;
+            if (shape.stride_c == 1)
+              add_row(vertex, T(1), gradient, channels);
+            else
+              for (std::int64_t c = 0; c < channels; ++c) vertex[c * shape.stride_c] += gradient[c];
+          }
+        }
+      });
+    });
+  };
+  scatter_in_slabs(grad_volume, shape, points, m, 10.0 + 1.0 * channels, threads, add);
 }
 
 #define TN_INSTANTIATE(T)                                                                                       \
