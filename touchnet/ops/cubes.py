@@ -46,6 +46,13 @@ def marching_cubes(
     Raises:
         TypeError: volume is not a float32 or float64 tensor.
         ValueError: wrong shape, values that are not finite, or none that reaches the level.
+
+    Example:
+        >>> volume = torch.zeros(3, 3, 3)
+        >>> volume[1, 1, 1] = 1  # one inside point: an octahedron around it
+        >>> vertices, faces = touchnet.ops.marching_cubes(volume)
+        >>> len(vertices), len(faces)
+        (6, 8)
     """
     refuse_transforms("marching_cubes")
     lower, upper = check_box(box)

@@ -65,6 +65,12 @@ def octree_marching_cubes(
     Raises:
         TypeError, ValueError: arguments or values of the wrong type or shape, values that are not finite, or none that
             reaches the level.
+
+    Example:
+        >>> ball = lambda points: 1 - points.norm(dim=1)  # 0.5 at the radius 0.5
+        >>> vertices, faces = touchnet.ops.octree_marching_cubes(ball, resolution=64, coarse=16)
+        >>> bool((vertices.norm(dim=1) - 0.5).abs().max() < 1e-3)
+        True
     """
     level = check_level(level)
     lower, spacing, cells, seeds = check_octree(resolution, box, coarse, chunk, dtype, seeds)
