@@ -25,7 +25,7 @@ import tyro
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from touchnet import cli
+from touchnet import cli, outputs
 from touchnet.baselines import convex_hull, screened_poisson
 from touchnet.data.dataset import INDEX, ShapeFile, TouchDataset
 from touchnet.data.samples import contact_rows
@@ -272,7 +272,7 @@ def _draw(
     said.add_text("titles", json.dumps([f"{len(touches)} touches", *(_label(*key) for key in drawn), "truth"]))
     blank = np.full((TILE, TILE, 3), 255, dtype=np.uint8)
     strip = Image.fromarray(np.concatenate([blank if tile is None else tile for tile in tiles], axis=1))
-    with cli.atomic_output(path, force=True) as temporary:
+    with outputs.atomic_output(path, force=True) as temporary:
         strip.save(temporary, format="PNG", pnginfo=said)
 
 
@@ -367,7 +367,7 @@ def _read_progress(path: Path, settings: dict[str, Any]) -> list[dict[str, Any]]
     text = path.read_text(encoding="utf-8")
     whole = text[: text.rfind("\n") + 1]
     if whole != text:
-        with cli.atomic_output(path, force=True) as temporary:
+        with outputs.atomic_output(path, force=True) as temporary:
             temporary.write_text(whole, encoding="utf-8")
     try:
         first, *rows = [json.loads(line) for line in whole.splitlines()] or [None]
@@ -567,12 +567,12 @@ def write_report(
     config: EvaluateConfig, settings: dict[str, Any], rows: list[dict[str, Any]], summaries: list[Summary], command: str
 ) -> None:
     """results.csv, summary.csv and report.json, each whole or not at all."""
-    with cli.atomic_output(config.output / "results.csv", force=True) as path, path.open("w", newline="") as file:
+    with outputs.atomic_output(config.output / "results.csv", force=True) as path, path.open("w", newline="") as file:
         columns = ["shape", "category", *Task._fields, *result_keys(config), "weights", "note"]
         writer = csv.DictWriter(file, columns, extrasaction="ignore")
         writer.writeheader()
         writer.writerows(rows)
-    with cli.atomic_output(config.output / "summary.csv", force=True) as path, path.open("w", newline="") as file:
+    with outputs.atomic_output(config.output / "summary.csv", force=True) as path, path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(Summary._fields)
         writer.writerows(summaries)
@@ -585,7 +585,7 @@ def write_report(
         "summary": [summary._asdict() for summary in summaries],
         "results": [{name: _jsonable(value) for name, value in row.items()} for row in rows],
     }
-    with cli.atomic_output(config.output / "report.json", force=True) as path:
+    with outputs.atomic_output(config.output / "report.json", force=True) as path:
         path.write_text(json.dumps(report, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 

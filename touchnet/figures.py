@@ -17,9 +17,9 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from touchnet.cli import atomic_output
 from touchnet.data import GaussianProcess, Touches
 from touchnet.metrics import is_closed, sample_surface
+from touchnet.outputs import atomic_output
 from touchnet.raster import cover
 
 Picture = NDArray[np.uint8]  # (H, W, 3)

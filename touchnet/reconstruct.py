@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from touchnet import cli
+from touchnet import cli, outputs
 
 if TYPE_CHECKING:
     import torch
@@ -165,7 +165,7 @@ def _plan(options: Options) -> list[tuple[Path, Path, str]]:
         kind = options.format or options.output.suffix[1:].lower()
         if kind not in ("ply", "obj", "stl", "glb"):
             raise ValueError(f"{options.output}: expected a name that ends in .ply, .obj, .stl or .glb, or --format")
-        output = cli.check_output(options.output, force=options.force)
+        output = outputs.check_output(options.output, force=options.force)
         if options.touches[0] != STDIO:
             options.touches[0].stat()  # a mistyped name is told before torch is loaded
         return [(options.touches[0], output, kind)]
@@ -181,7 +181,7 @@ def _plan(options: Options) -> list[tuple[Path, Path, str]]:
     if twice is not None:
         raise ValueError(f"{twice}: two files of touches would become this mesh")
     for name in names:
-        cli.check_output(name, force=options.force)
+        outputs.check_output(name, force=options.force)
     return jobs
 
 
@@ -228,7 +228,7 @@ def _reconstruct(
         sys.stdout.buffer.write(buffer.getvalue())
         sys.stdout.buffer.flush()
     else:
-        with cli.atomic_output(output, force=options.force) as path:
+        with outputs.atomic_output(output, force=options.force) as path:
             write_mesh(path, mesh, kind=kind)
     result.mesh = str(output)
 

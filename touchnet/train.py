@@ -27,7 +27,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, Sampler, default_collate
 from tqdm import tqdm
 
-from touchnet import cli
+from touchnet import cli, outputs
 from touchnet.allocator import tune_allocator
 from touchnet.config import MODELS, PAPER_SAMPLES, ModelConfig, SampleConfig
 from touchnet.data.dataset import TouchDataset
@@ -418,7 +418,7 @@ def save_checkpoint(
         "model": dataclasses.asdict(recipe.model),
         "step": step,
     }
-    with cli.atomic_output(path, force=True) as temporary:
+    with outputs.atomic_output(path, force=True) as temporary:
         torch.save(state, temporary)
 
 
@@ -450,7 +450,7 @@ class Log:
 
         config.output.mkdir(parents=True, exist_ok=True)
         described = {"recipe": dataclasses.asdict(recipe), "steps": steps, "seed": config.seed, "shapes": shapes}
-        with cli.atomic_output(config.output / "config.json", force=True) as temporary:
+        with outputs.atomic_output(config.output / "config.json", force=True) as temporary:
             temporary.write_text(json.dumps(described, indent=2, default=str) + "\n")
         self.events = SummaryWriter(str(config.output), purge_step=start or None)
         lines = config.output / "metrics.jsonl"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-import tempfile
 from importlib import resources
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from safetensors.torch import save
 
 from touchnet.config import model_config_from_dict
 from touchnet.models import TouchNet
+from touchnet.outputs import atomic_output
 
 FORMAT = "touchnet-weights"
 
@@ -35,14 +35,8 @@ def save_weights(
         tensors[name] = tensor.half() if half and tensor.is_floating_point() else tensor
     header = {"format": FORMAT, "config": json.dumps(dataclasses.asdict(model.config)), **(notes or {})}
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(prefix=path.name, suffix=".part", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(save(tensors, metadata=header))
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with atomic_output(path, force=True) as temporary:
+        temporary.write_bytes(save(tensors, metadata=header))
 
 
 def load_model(name_or_path: str | os.PathLike = "default", *, device: str | torch.device = "cpu") -> TouchNet:

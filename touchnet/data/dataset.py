@@ -6,7 +6,6 @@ Everything is read lazily: an item costs the bytes it asks for, whatever the siz
 import hashlib
 import json
 import os
-import secrets
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +14,8 @@ import numpy as np
 import safetensors
 import trimesh
 from numpy.typing import NDArray
+
+from touchnet.outputs import atomic_output
 
 FORMAT = "touchnet-dataset"
 VERSION = 1
@@ -246,17 +247,10 @@ def write_shape(path: str | os.PathLike[str], tensors: Mapping[str, NDArray[Any]
 
 
 def replace(path: Path, data: bytes) -> None:
-    """Writes a file under a temporary name beside `path` and moves it into place."""
+    """Writes a file whole or not at all; makes its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
-    try:
-        with temporary.open("xb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with atomic_output(path, force=True) as temporary:
+        temporary.write_bytes(data)
 
 
 def sha256_of(path: str | os.PathLike[str]) -> str:

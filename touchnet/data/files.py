@@ -205,7 +205,7 @@ def write_mesh(
     """Writes a triangle mesh with enough digits that reading gives the same mesh.
 
     PLY holds float64, OBJ shortest decimal numbers that read back equal; STL and GLB hold float32 and are refused where
-    that would let vertices fall together. The file is not written atomically (`touchnet.cli.atomic_output` is).
+    that would let vertices fall together. The file is not written atomically (`touchnet.outputs.atomic_output` is).
 
     Args:
         target: a path, or a file opened for writing bytes.
