@@ -170,8 +170,8 @@ PYBIND11_MODULE(_C, m) {
       .def(py::init([](Extents points, Corner lower, Corner spacing, double level, std::int64_t stride, int threads) {
         return new OctreeCubes(touchnet::make_lattice(points, lower, spacing), level, stride, threads);
       }))
-      .def("add_seeds", [](OctreeCubes& cubes, Address points,
-                           std::int64_t n) { cubes.add_seeds(at<const double>(points), n); })
+      .def("add_seeds",
+           [](OctreeCubes& cubes, Address points, std::int64_t n) { cubes.add_seeds(at<const double>(points), n); })
       .def("pending", &OctreeCubes::pending)
       .def(
           "write_points",
