@@ -36,7 +36,7 @@ def source(identity, split="train", size=(2, 1, 1), drop=0):
 SOURCES = [
     source("box/long", "train", (4, 1, 1)),
     source("box/flat", "val", (1, 0.1, 1)),
-    source("box/open", "test", (1, 1, 1), drop=1),
+    source("box/open", "test", (2, 0.6, 0.8), drop=1),
     source("cube/one", "train", (3, 3, 3)),
 ]
 

@@ -345,9 +345,11 @@ def _close_by_ball(
 
 
 def _fill_by_winding(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], offset: float, spacing: float = 1 / 160
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], offset: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """The triangles, thickened, together with everything whose winding number exceeds 0.5."""
+    # Flat shapes get the cells of `_close_by_ball`, bulky ones as many as a few seconds of winding numbers allow.
+    spacing = max(1 / 160, float(np.cbrt(np.prod(np.ptp(vertices, axis=0) + 0.05) / 5e5)))
     thick = spacing  # thinner sheets would slip between grid points; pulled to `offset` afterwards
     grid = _roll_ball(vertices, faces, thick, spacing)
     points = _grid_points(grid)
