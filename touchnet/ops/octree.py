@@ -36,8 +36,8 @@ def octree_marching_cubes(
 ) -> tuple[Tensor, ...]:
     """Closed triangle mesh around the part of a box where a field reaches the level.
 
-    The field is evaluated on a coarse lattice, along the coarse edges whose two ends disagree, and at the corners of the
-    fine cells that the surface crosses: it is followed from cell to cell. No point is evaluated twice (but for
+    The field is evaluated on a coarse lattice, along the coarse edges whose two ends disagree, and at the corners of
+    the fine cells that the surface crosses: it is followed from cell to cell. No point is evaluated twice (but for
     gradients). The result equals marching_cubes on the dense lattice, up to the order of vertices and faces, on every
     connected part of the surface that crosses such a coarse edge or that a seed finds. A part that lies between the
     coarse points and away from the seeds is not found at all, never half of it. Memory grows with the surface. The
