@@ -33,7 +33,7 @@ from touchnet.data.dataset import (
 )
 from touchnet.data.exploration import simulate_touches
 from touchnet.data.occupancy import label_box, label_near, sample_surface
-from touchnet.data.watertight import inspect_mesh, make_watertight
+from touchnet.data.watertight import METHODS, inspect_mesh, make_watertight
 
 # Part of every shape's fingerprint: raised when the same parameters come to mean other contents.
 RECIPE = 1
@@ -72,6 +72,8 @@ class Parameters:
             raise ValueError(f"sigmas should be positive numbers, got {self.sigmas}")
         if not 0 < self.offset < 0.1:
             raise ValueError(f"offset should be between 0 and 0.1 of the longest side, got {self.offset}")
+        if self.method not in METHODS:
+            raise ValueError(f"method should be one of {', '.join(METHODS)}, got {self.method!r}")
         if self.resolution < 100:
             raise ValueError(f"resolution should be ≥ 100, got {self.resolution}")
 
