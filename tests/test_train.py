@@ -166,7 +166,7 @@ def test_a_killed_run_leaves_whole_files_and_resumes_to_the_same_weights(eggs, t
             time.sleep(0.01)
         os.killpg(run.pid, signal.SIGKILL)
         run.wait()
-        load_model(tmp_path / "killed/weights.safetensors") if resume else None
+        load_model(tmp_path / "killed/weights.safetensors")
         torch.load(checkpoint)
         resume = ["--resume"]
     subprocess.run(

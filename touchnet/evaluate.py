@@ -693,4 +693,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    # Worker processes look functions up by module, and cannot look into the __main__ of another process.
+    from touchnet import evaluate as importable
+
+    sys.exit(importable.main())

@@ -310,9 +310,9 @@ def train(config: TrainConfig) -> dict[str, float]:
                 log.write(done, {"loss": mean, "learning_rate": rate, "epoch": done / per_epoch})
                 bar.set_postfix(loss=f"{mean:.4f}", epoch=f"{done / per_epoch:.1f}")
             if main and (done == steps or stop or done % config.checkpoint_every == 0):
-                save_checkpoint(checkpoint, network, average, optimizer, recipe, done)
                 # Half precision is what ships; the checkpoint keeps what training goes on with.
                 save_weights(average.network, config.output / "weights.safetensors", half=True)
+                save_checkpoint(checkpoint, network, average, optimizer, recipe, done)
             if main and len(held_out) and not stop and (done == steps or done % config.validate_every == 0):
                 figures = validate(average.network, held_out, accelerator.device, recipe.precision)
                 log.write(done, figures)

@@ -132,6 +132,8 @@ def build(
     directory = Path(directory)
     _check(sources)
     directory.mkdir(parents=True, exist_ok=True)
+    for half in (directory / "shapes").rglob(".*.part*"):
+        half.unlink(missing_ok=True)  # left by a run that was killed
     kept = _existing(directory, parameters, seed, overwrite)
     prints = {source.id: fingerprint(source, parameters, seed) for source in sources}
     done: dict[str, ShapeRecord] = {record.id: record for record in kept if record.id not in prints}
