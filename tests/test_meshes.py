@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from touchnet.meshes import check_closed
+from touchnet.meshes import check_closed, fill_cavities
 
 
 def tetrahedron(offset=0.0):
@@ -80,3 +80,32 @@ def test_stray_and_broken_vertices():
     vertices[0, 0] = np.nan
     with pytest.raises(ValueError, match="1 vertices that are not finite"):
         check_closed(mesh(vertices, faces))
+
+
+def shells(*radii_and_signs, at=(0.0, 0.0, 0.0)):
+    parts = []
+    for radius, inwards in radii_and_signs:
+        ball = trimesh.creation.icosphere(2, radius)
+        if inwards:
+            ball.invert()
+        ball.apply_translation(at)
+        parts.append(ball)
+    mesh = trimesh.util.concatenate(parts)
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
+@pytest.mark.parametrize("at", [(0.0, 0.0, 0.0), (5e6, -5e6, 5e6)])
+def test_enclosed_cavity_and_what_floats_in_it_are_dropped(at):
+    vertices, faces = shells((1.0, False), (0.8, True), (0.3, False), at=at)
+    left, kept, cavities = fill_cavities(vertices, faces)
+    assert cavities == 1
+    filled = trimesh.Trimesh(left - np.array(at), kept, process=False)
+    assert filled.volume == pytest.approx(trimesh.creation.icosphere(2, 1.0).volume, rel=1e-6)
+    check_closed(filled)
+
+
+def test_solids_side_by_side_are_kept_as_they_are():
+    a, b = shells((1.0, False)), shells((0.5, False), at=(3.0, 0, 0))
+    vertices, faces = np.vstack([a[0], b[0]]), np.vstack([a[1], b[1] + len(a[0])])
+    left, kept, cavities = fill_cavities(vertices, faces)
+    assert cavities == 0 and np.array_equal(left, vertices) and np.array_equal(kept, faces)

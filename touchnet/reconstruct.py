@@ -45,6 +45,8 @@ class Options:
     """Which axis points up; unset assumes nothing."""
     level: float = 0.5
     """Occupancy at the surface, between 0 and 1; higher gives a thinner object."""
+    keep_cavities: bool = False
+    """Keep enclosed cavities; they are filled otherwise, since no touch can have reached them."""
     max_touches: int = 8192
     """More contacts than this are thinned evenly."""
     ignore_normals: bool = False
@@ -214,6 +216,7 @@ def _reconstruct(
         resolution=options.resolution,
         device=device,
         level=options.level,
+        keep_cavities=options.keep_cavities,
         max_touches=options.max_touches,
     )
     result.contacts = mesh.metadata["contacts"]

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from touchnet import ops
 from touchnet.frames import Frame, find_outliers
+from touchnet.meshes import fill_cavities
 
 __all__ = ["reconstruct_field", "reconstruct_mesh", "thin"]
 
@@ -46,6 +47,7 @@ def reconstruct_mesh(
     resolution: int = 256,
     device: str | torch.device = "auto",
     level: float = 0.5,
+    keep_cavities: bool = False,
     max_touches: int = MAX_TOUCHES,
 ) -> trimesh.Trimesh:
     """Reconstructs the closed surface of the object that was touched.
@@ -65,12 +67,14 @@ def reconstruct_mesh(
         resolution: cells along the cube, whose side is 1.11 times the longest side of the box of the contacts.
         device: "cpu", "cuda", or "auto": CUDA where there is a device and a build for it.
         level: the occupancy at the surface.
+        keep_cavities: keep enclosed cavities, which touches from outside say nothing about.
         max_touches: more contacts than this are thinned evenly over the surface (`thin`).
 
     Returns:
         A mesh in the frame and unit of the input, float64, outward winding, not processed (no vertex merged). Its
         `metadata` say how it came about: "cell" (the side of a cell in the input's unit), "frame", "contacts" (used),
-        "outliers" (left out), "refitted", "meets_border", "distance" (median, from the contacts to the vertices).
+        "outliers" (left out), "cavities" (filled), "refitted", "meets_border", "distance" (median, from the contacts to
+        the vertices).
 
     Raises:
         ValueError: contacts that are too few, on a line or not finite; no surface at the level; normals or options that
@@ -114,7 +118,15 @@ def reconstruct_mesh(
                 return model.decode(features, queries[None])[0].float()
 
         return reconstruct_field(
-            field, frame, up=up, resolution=resolution, level=level, seeds=points, device=device, dtype=torch.float32
+            field,
+            frame,
+            up=up,
+            keep_cavities=keep_cavities,
+            resolution=resolution,
+            level=level,
+            seeds=points,
+            device=device,
+            dtype=torch.float32,
         )
 
     mesh, refitted = mesh_in(frame), False
@@ -140,6 +152,7 @@ def reconstruct_field(
     level: float = 0.5,
     seeds: np.ndarray | None = None,
     up: Up = None,
+    keep_cavities: bool = False,
     device: str | torch.device = "cpu",
     dtype: torch.dtype = torch.float64,
     chunk: int = CHUNK,
@@ -153,11 +166,13 @@ def reconstruct_field(
         level: the value at the surface; inside is value ≥ level.
         seeds: (N,3) points near the surface, in the object's frame.
         up: which axis of the object's frame points up; the mesh is turned back.
+        keep_cavities: keep enclosed cavities, which touches from outside say nothing about (`fill_cavities`).
         device, dtype: of the points handed to the field.
         chunk: most points in one call.
 
     Returns:
-        As `reconstruct_mesh`; metadata "cell", "frame" and "meets_border" (the solid is cut by the cube's faces).
+        As `reconstruct_mesh`; metadata "cell", "frame", "cavities" (filled) and
+        "meets_border" (the solid is cut by the cube's faces).
 
     Raises:
         ValueError: no surface, values that are not finite, or coordinates too far from the origin for float64.
@@ -180,10 +195,12 @@ def reconstruct_field(
     vertices, faces = ops.octree_marching_cubes(
         field, resolution=resolution, level=level, seeds=seeds, chunk=chunk, device=device, dtype=dtype
     )
-    cube = vertices.numpy()
-    mesh = trimesh.Trimesh(frame.from_cube(cube @ turn), faces.numpy(), process=False, validate=False)
+    cube, corners, cavities = vertices.numpy(), faces.numpy(), 0
+    if not keep_cavities:
+        cube, corners, cavities = fill_cavities(cube, corners)
+    mesh = trimesh.Trimesh(frame.from_cube(cube @ turn), corners, process=False, validate=False)
     # The vertices that close the mesh at a face of the cube lie just outside of it.
-    mesh.metadata.update(cell=cell, frame=frame, meets_border=bool((np.abs(cube) > 1).any()))
+    mesh.metadata.update(cell=cell, frame=frame, cavities=cavities, meets_border=bool((np.abs(cube) > 1).any()))
     return mesh
 
 
