@@ -104,6 +104,14 @@ def test_enclosed_cavity_and_what_floats_in_it_are_dropped(at):
     check_closed(filled)
 
 
+def test_cavity_that_was_touched_is_kept():
+    vertices, faces = shells((1.0, False), (0.8, True))
+    outside, inside = trimesh.creation.icosphere(2, 1.0).vertices, trimesh.creation.icosphere(2, 0.8).vertices
+    assert fill_cavities(vertices, faces, outside)[2] == 1
+    assert fill_cavities(vertices, faces, np.vstack([outside, inside[:2]]))[2] == 1
+    assert fill_cavities(vertices, faces, np.vstack([outside, inside[:20]]))[2] == 0
+
+
 def test_solids_side_by_side_are_kept_as_they_are():
     a, b = shells((1.0, False)), shells((0.5, False), at=(3.0, 0, 0))
     vertices, faces = np.vstack([a[0], b[0]]), np.vstack([a[1], b[1] + len(a[0])])

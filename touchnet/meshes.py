@@ -5,6 +5,7 @@ import point_cloud_utils as pcu
 import trimesh
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 __all__ = ["check_closed", "fill_cavities"]
 
@@ -90,13 +91,21 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
 
-def fill_cavities(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+# A cavity whose walls at least this share of the contacts touched is real.
+TOUCHED_SHARE = 0.02
+
+
+def fill_cavities(
+    vertices: np.ndarray, faces: np.ndarray, contacts: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, int]:
     """Drops the parts of a closed surface that bound enclosed cavities, and what floats inside those.
 
-    A cavity without an opening cannot be touched from outside, so contacts say nothing about it.
+    A cavity without an opening cannot be touched from outside, so contacts say nothing about it. It is kept where
+    contacts lie on its walls (simulated ones, or taken through a hole that the surface closes).
 
     Args:
         vertices: (V, 3) float64; faces: (F, 3) int64 of a closed, oriented 2-manifold wound outwards (`check_closed`).
+        contacts: (N, 3) in the coordinates of the vertices.
 
     Returns:
         The vertices and faces that are left, in their order, and the number of cavities filled.
@@ -111,10 +120,13 @@ def fill_cavities(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, 
     a, b, c = (vertices[faces[:, k]] - vertices[first[part]] for k in range(3))
     volume = np.bincount(part, weights=np.einsum("ij,ij->i", a, np.cross(b, c)), minlength=count)
     cavity = volume < 0
+    if cavity.any() and contacts is not None and len(contacts):
+        nearest = part_of_vertex[cKDTree(vertices).query(contacts)[1]]
+        cavity &= np.bincount(nearest, minlength=count) < TOUCHED_SHARE * len(contacts)
     if not cavity.any():
         return vertices, faces, 0
     walls = np.ascontiguousarray(faces[cavity[part]][:, ::-1])
-    solid = np.flatnonzero(~cavity)
+    solid = np.flatnonzero(~cavity & (volume > 0))
     winding = pcu.triangle_soup_fast_winding_number(vertices, walls, vertices[first[solid]])
     dropped = cavity.copy()
     dropped[solid[np.asarray(winding) > 0.5]] = True

@@ -46,7 +46,7 @@ class Options:
     level: float = 0.5
     """Occupancy at the surface, between 0 and 1; higher gives a thinner object."""
     keep_cavities: bool = False
-    """Keep enclosed cavities; they are filled otherwise, since no touch can have reached them."""
+    """Keep enclosed cavities; otherwise those that no contact lies on are filled."""
     max_touches: int = 8192
     """More contacts than this are thinned evenly."""
     ignore_normals: bool = False

@@ -67,7 +67,7 @@ def reconstruct_mesh(
         resolution: cells along the cube, whose side is 1.11 times the longest side of the box of the contacts.
         device: "cpu", "cuda", or "auto": CUDA where there is a device and a build for it.
         level: the occupancy at the surface.
-        keep_cavities: keep enclosed cavities, which touches from outside say nothing about.
+        keep_cavities: keep enclosed cavities that no contact lies on.
         max_touches: more contacts than this are thinned evenly over the surface (`thin`).
 
     Returns:
@@ -166,7 +166,7 @@ def reconstruct_field(
         level: the value at the surface; inside is value ≥ level.
         seeds: (N,3) points near the surface, in the object's frame.
         up: which axis of the object's frame points up; the mesh is turned back.
-        keep_cavities: keep enclosed cavities, which touches from outside say nothing about (`fill_cavities`).
+        keep_cavities: keep enclosed cavities that no seed lies on (`fill_cavities`).
         device, dtype: of the points handed to the field.
         chunk: most points in one call.
 
@@ -197,7 +197,7 @@ def reconstruct_field(
     )
     cube, corners, cavities = vertices.numpy(), faces.numpy(), 0
     if not keep_cavities:
-        cube, corners, cavities = fill_cavities(cube, corners)
+        cube, corners, cavities = fill_cavities(cube, corners, None if seeds is None else seeds.numpy())
     mesh = trimesh.Trimesh(frame.from_cube(cube @ turn), corners, process=False, validate=False)
     # The vertices that close the mesh at a face of the cube lie just outside of it.
     mesh.metadata.update(cell=cell, frame=frame, cavities=cavities, meets_border=bool((np.abs(cube) > 1).any()))
