@@ -119,7 +119,7 @@ def build(
     mesh that cannot be used is listed under failures with the reason, and skipped. Bytes depend on the seed, parameters
     and mesh alone, never on `jobs`.
 
-    Parallel work goes through joblib: `with joblib.parallel_config(backend="dask"): build(...)` runs it on a cluster.
+    Parallel work goes through joblib, so a backend chosen by `joblib.parallel_config` takes over.
 
     Args:
         jobs: worker processes; -1: one a core. (A backend chosen by `joblib.parallel_config` brings its own count.)
