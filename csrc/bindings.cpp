@@ -103,31 +103,17 @@ PYBIND11_MODULE(_C, m) {
       },
       Unlocked());
   m.def(
-      "gp_forward",
-      [](Address factor, std::size_t n, Address row) {
-        return touchnet::gp_forward(at<const double>(factor), n, at<double>(row));
-      },
-      Unlocked());
-  m.def(
       "gp_backward",
       [](Address factor, std::size_t n, Address row) {
         touchnet::gp_backward(at<const double>(factor), n, at<double>(row));
       },
       Unlocked());
   m.def(
-      "gp_variance",
-      [](int kernel, double scale, Address contacts, Address factor, std::size_t n, Address x, Address row) {
-        return touchnet::gp_variance(touchnet::Kernel(kernel), scale, at<const double>(contacts),
-                                     at<const double>(factor), n, at<const double>(x), at<double>(row));
-      },
-      Unlocked());
-  m.def(
-      "gp_variance_gradient",
+      "gp_touch",
       [](int kernel, double scale, Address contacts, Address factor, std::size_t n, Address x, Address row,
          Address work, Address gradient) {
-        touchnet::gp_variance_gradient(touchnet::Kernel(kernel), scale, at<const double>(contacts),
-                                       at<const double>(factor), n, at<const double>(x), at<const double>(row),
-                                       at<double>(work), at<double>(gradient));
+        return touchnet::gp_touch(touchnet::Kernel(kernel), scale, at<const double>(contacts), at<const double>(factor),
+                                  n, at<const double>(x), at<double>(row), at<double>(work), at<double>(gradient));
       },
       Unlocked());
   m.def(

@@ -52,20 +52,14 @@ inline double kernel_slope(Kernel kernel, double scale, double r2) {
 void gp_kernel(Kernel kernel, double scale, const double* x, std::size_t m, const double* y, std::size_t n,
                double* out);
 
-// row (n) = L^-1 row, in place; returns the sum of its squares.
-double gp_forward(const double* factor, std::size_t n, double* row);
-
 // row (n) = L^-T row, in place.
 void gp_backward(const double* factor, std::size_t n, double* row);
 
-// What is known of x before it is added: row (n) = L^-1 k(X, x); returns k(x, x) - |row|^2, the variance at x.
-double gp_variance(Kernel kernel, double scale, const double* contacts, const double* factor, std::size_t n,
-                   const double* x, double* row);
-
-// gradient (3) of the variance at x, from row = L^-1 k(X, x): -2 sum_j (G^-1 k(X, x))_j dk(x, x_j)/dx.
-// `work` (n) is left with G^-1 k(X, x).
-void gp_variance_gradient(Kernel kernel, double scale, const double* contacts, const double* factor, std::size_t n,
-                          const double* x, const double* row, double* work, double* gradient);
+// What is known of x before it is added: row (n) = L^-1 k(X, x); returns k(x, x) - |row|^2, the variance at x, and its
+// gradient (3) by x, -2 row . L^-1 dk(X, x)/dx. The kernel and its three slopes are solved side by side in `work`
+// (4 n), so the factor, which is what takes the time, is read once.
+double gp_touch(Kernel kernel, double scale, const double* contacts, const double* factor, std::size_t n,
+                const double* x, double* row, double* work, double* gradient);
 
 // Points in batches of gp_lanes share one pass over the factor. solved (groups, capacity, gp_lanes) holds L^-1 k(X, x)
 // of the points x (groups * gp_lanes, 3), rows start..n of it are computed here from rows 0..start, which the caller

@@ -7,7 +7,7 @@ import point_cloud_utils as pcu
 import pytest
 import trimesh
 
-from touchnet.data import ClosestPoints, GaussianProcess, coverage, simulate_touches
+from touchnet.data import ClosestPoints, GaussianProcess, Surface, coverage, exploration, simulate_touches
 from touchnet.data.exploration import _in_plane, _Starts, _UpTheVariance
 
 STEP = 0.05
@@ -410,6 +410,18 @@ def test_random_walk_turns_gently(sphere):
 def test_errors_name_the_argument(sphere, options, words):
     with pytest.raises(ValueError, match=words):
         simulate_touches(sphere, **{"n": 10, **options})
+
+
+def test_a_surface_serves_many_trajectories(bottle, monkeypatch):
+    expected = [simulate_touches(bottle, 40, seed=seed) for seed in (0, 1)]
+    surface = Surface(bottle)
+    trees = []
+    monkeypatch.setattr(exploration, "ClosestPoints", lambda *mesh: trees.append(mesh) or ClosestPoints(*mesh))
+    for seed in (0, 1):
+        for ours, theirs in zip(simulate_touches(surface, 40, seed=seed), expected[seed], strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+    assert len(trees) == 1
+    assert coverage(bottle, expected[0].points, radius=0.1) > 0.2 and len(trees) == 1
 
 
 def test_meshes_that_cannot_be_touched():

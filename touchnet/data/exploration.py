@@ -9,6 +9,7 @@ Inside this module the mesh's longest side is 1 and its box is centred; points a
 import logging
 import math
 from collections.abc import Callable, Iterator
+from functools import cached_property
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -20,7 +21,7 @@ from scipy.spatial import cKDTree
 from touchnet.data.gp import _KERNELS, _LANES, GaussianProcess, KernelName
 from touchnet.ops._ext import _C
 
-__all__ = ["ClosestPoints", "Touches", "coverage", "simulate_touches"]
+__all__ = ["ClosestPoints", "Surface", "Touches", "coverage", "simulate_touches"]
 
 Strategy = Literal["gp", "random_walk", "scan_lines", "uniform"]
 Vector = tuple[float, float, float]
@@ -44,7 +45,7 @@ class Touches(NamedTuple):
 
 
 def simulate_touches(
-    mesh: trimesh.Trimesh,
+    mesh: "trimesh.Trimesh | Surface",
     n: int = 2048,
     *,
     seed: int = 0,
@@ -70,7 +71,8 @@ def simulate_touches(
     longest side of the mesh's bounding box; start and unreachable are in the mesh's own frame.
 
     Args:
-        mesh: closed triangle mesh, any number of components.
+        mesh: closed triangle mesh, any number of components; or a Surface made of it, which serves any number of
+            trajectories.
         n: number of contacts.
         seed: of the starting point and of every other random choice.
         start: point (3,) next to which the first contact is made; None draws it uniformly from the surface.
@@ -97,7 +99,7 @@ def simulate_touches(
         dropout: probability in [0, 1) that a contact goes unnoticed; n are still returned, except by "scan_lines".
 
     Raises:
-        TypeError: mesh is not a trimesh.Trimesh.
+        TypeError: mesh is neither a trimesh.Trimesh nor a Surface.
         ValueError: an argument is out of range, the mesh has no face with an area, or no contact is reachable.
     """
     _check(n >= 1, "n", "at least 1", n)
@@ -114,7 +116,7 @@ def simulate_touches(
     _check(strategy in get_args(Strategy), "strategy", f"one of {', '.join(get_args(Strategy))}", strategy)
 
     rng = np.random.default_rng(seed)
-    surface = _Surface(mesh)
+    surface = mesh if isinstance(mesh, Surface) else Surface(mesh)
     if step is None:
         low_step = high_step = min(0.1, math.sqrt(float(surface.areas.sum()) / n))
     finger = _Finger(surface, finger_radius, _forbidden(unreachable))
@@ -168,7 +170,7 @@ def coverage(
         raise ValueError(f"points should be finite with shape (N, 3), got shape {points.shape}")
     if not len(points):
         return 0.0
-    surface = _Surface(mesh, query=False)
+    surface = Surface(mesh)
     at, _ = surface.sample(samples, np.random.default_rng(seed))
     distance, _ = cKDTree(surface.from_mesh(points)).query(at, distance_upper_bound=radius)
     return float(np.isfinite(distance).mean())
@@ -213,10 +215,18 @@ class ClosestPoints:
         return tuple(closest.tolist()), face.item(), distance.item()
 
 
-class _Surface:
-    """The mesh in the frame of this module: triangles with an area, and closest points on them."""
+class Surface:
+    """A mesh as a finger meets it: triangles with an area, in the frame of this module, and closest points on them.
 
-    def __init__(self, mesh: trimesh.Trimesh, *, query: bool = True) -> None:
+    The tree over the triangles takes longer to build than a trajectory's closest points to find: many trajectories of
+    one mesh share a Surface.
+
+    Raises:
+        TypeError: mesh is not a trimesh.Trimesh.
+        ValueError: the mesh has no face with an area.
+    """
+
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
         if not isinstance(mesh, trimesh.Trimesh):
             raise TypeError(f"mesh should be a trimesh.Trimesh, got {type(mesh).__name__}")
         faces = np.asarray(mesh.faces, dtype=np.int64)
@@ -236,8 +246,11 @@ class _Surface:
         self.corners = np.ascontiguousarray(corners[solid])
         self.areas = length[solid] / 2
         self.normals = cross[solid] / length[solid, None]
-        if query:
-            self.closest = ClosestPoints(*self.triangles())
+
+    @cached_property
+    def closest(self) -> ClosestPoints:
+        """The tree, built when it is first asked for."""
+        return ClosestPoints(*self.triangles())
 
     def triangles(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Unshared vertices (3 F, 3) and faces (F, 3)."""
@@ -275,7 +288,7 @@ class _Finger:
 
     def __init__(
         self,
-        surface: _Surface,
+        surface: Surface,
         radius: float,
         forbidden: Callable[[NDArray[np.float64]], NDArray[np.bool_]] | None,
     ) -> None:
@@ -410,7 +423,7 @@ class _Record:
         """Gradient (3,) of the variance at the contact just made, as it was before it."""
         return self.gp.last_gradient() if self._missed is None else self.gp.variance_gradient(self._missed)[0]
 
-    def touches(self, surface: _Surface) -> Touches:
+    def touches(self, surface: Surface) -> Touches:
         i = self.count
         return Touches(surface.to_mesh(self._points[:i]), self._normals[:i], self._strokes[:i], self._variance[:i])
 

@@ -31,12 +31,12 @@ from touchnet.data.dataset import (
     write_index,
     write_shape,
 )
-from touchnet.data.exploration import simulate_touches
+from touchnet.data.exploration import Surface, simulate_touches
 from touchnet.data.occupancy import label_box, label_near, sample_surface
 from touchnet.data.watertight import METHODS, inspect_mesh, make_watertight
 
 # Part of every shape's fingerprint: raised when the same parameters come to mean other contents.
-RECIPE = 1
+RECIPE = 2
 
 
 @dataclass(frozen=True)
@@ -234,8 +234,9 @@ def _touch(
 ) -> dict[str, NDArray[Any]]:
     """The tensors of the trajectories from number `first` on."""
     streams = _seeds(source, seed, 3 + parameters.trajectories)[3 + first :]
+    surface = Surface(mesh)
     runs = [
-        simulate_touches(mesh, parameters.touches, seed=int(stream.generate_state(1, np.uint64)[0] >> 1))
+        simulate_touches(surface, parameters.touches, seed=int(stream.generate_state(1, np.uint64)[0] >> 1))
         for stream in streams
     ]
     shape = (len(runs), parameters.touches)

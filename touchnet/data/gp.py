@@ -58,6 +58,7 @@ class GaussianProcess:
         self.jitter = 0.0
         self._n = 0
         self._weights: NDArray | None = None
+        self._gradient = np.zeros(3)
         self._allocate(64)
 
     def __len__(self) -> int:
@@ -117,28 +118,14 @@ class GaussianProcess:
         return self._append(point[0], float(value))
 
     def last_gradient(self) -> NDArray[np.float64]:
-        """Gradient (3,) of the variance at the last contact, as it was just before that contact: one back-substitution.
+        """Gradient (3,) of the variance at the last contact, as it was just before that contact.
 
         Since then the gradient there is this one times σ_n² / (V + σ_n²), V being the variance before: the same
         direction however small σ_n is, where the difference of the posterior's two terms would lose it to rounding.
         """
         if self._n == 0:
             raise ValueError("last_gradient needs a contact, got none")
-        n = self._n - 1
-        gradient = np.empty(3)
-        points, factor = self._points.ctypes.data, self._factor.ctypes.data
-        _C.gp_variance_gradient(
-            _KERNELS[self.kernel],
-            self.length_scale,
-            points,
-            factor,
-            n,
-            points + 24 * n,
-            factor + 4 * n * (n + 1),
-            self._work.ctypes.data,
-            gradient.ctypes.data,
-        )
-        return gradient
+        return self._gradient.copy()
 
     def add_with_gradient(self, point: ArrayLike, value: float = 0.0) -> tuple[float, NDArray[np.float64]]:
         """`add_one` and `last_gradient`: the variance at the contact (3,) just before it, and its gradient (3,)."""
@@ -241,7 +228,7 @@ class GaussianProcess:
             points[:n], values[:n], whitened[:n] = self._points[:n], self._values[:n], self._whitened[:n]
             factor[: n * (n + 1) // 2] = self._factor[: n * (n + 1) // 2]
         self._points, self._values, self._whitened, self._factor = points, values, whitened, factor
-        self._work = np.empty(capacity)
+        self._work = np.empty(4 * capacity)
 
     def _append(self, point: NDArray[np.float64], value: float) -> float:
         self._points[self._n], self._values[self._n] = point, value
@@ -262,8 +249,16 @@ class GaussianProcess:
         """Row n of the factor from rows 0..n; the variance at contact n before it, None where the row has no pivot."""
         start = n * (n + 1) // 2
         factor, points = self._factor.ctypes.data, self._points.ctypes.data
-        variance = _C.gp_variance(
-            _KERNELS[self.kernel], self.length_scale, points, factor, n, points + 24 * n, factor + 8 * start
+        variance = _C.gp_touch(
+            _KERNELS[self.kernel],
+            self.length_scale,
+            points,
+            factor,
+            n,
+            points + 24 * n,
+            factor + 8 * start,
+            self._work.ctypes.data,
+            self._gradient.ctypes.data,
         )
         nugget = self.noise**2 + self.jitter
         square = variance + nugget
