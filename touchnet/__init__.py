@@ -8,6 +8,7 @@ import importlib
 from typing import Any
 
 _HOME = {
+    "Explorer": "touchnet.explorer",
     "reconstruct_mesh": "touchnet.reconstruction",
     "load_model": "touchnet.weights",
     "save_weights": "touchnet.weights",

@@ -9,6 +9,8 @@ from touchnet import cli
 
 COMMANDS = {
     "reconstruct": "a closed mesh from a file of touches",
+    "view": "contacts, mesh and where to touch next, on a page in the browser",
+    "explore": "where to touch next, given the touches so far",
     "simulate": "touches and labelled points from meshes, as a data set",
     "train": "train a network (without arguments: on the embedded data set)",
     "evaluate": "measure weights on a data set, beside baselines",

@@ -49,6 +49,8 @@ class Options:
     """Keep enclosed cavities; otherwise those that no contact lies on are filled."""
     max_touches: int = 8192
     """More contacts than this are thinned evenly."""
+    tolerance: float | None = None
+    """Error that the confidence of a vertex is about, in the unit of the input; by default 1 % of the longest side."""
     ignore_normals: bool = False
     """Do not use the normals in the file."""
     format: Literal["ply", "obj", "stl", "glb"] | None = None
@@ -82,6 +84,9 @@ class Result:
     bounds: list[list[float]] | None = None
     volume: float | None = None
     distance: float | None = None
+    expected_error: float | None = None
+    confidence: float | None = None
+    tolerance: float | None = None
     refitted: bool = False
     seconds: float = 0.0
 
@@ -95,7 +100,8 @@ class Result:
         counted = f"{self.contacts} contacts" + (f" ({', '.join(left)})" if left else "")
         return (
             f"{self.touches} -> {self.mesh}: {counted}{' with normals' if self.normals else ''}, closed mesh of "
-            f"{self.faces} faces, contacts {self.distance:.3g} from it (median), {self.seconds:.1f} s"
+            f"{self.faces} faces, contacts {self.distance:.3g} from it (median), expected to be "
+            f"{self.expected_error:.3g} off (mean), {self.seconds:.1f} s"
         )
 
 
@@ -155,6 +161,8 @@ def _plan(options: Options) -> list[tuple[Path, Path, str]]:
         raise ValueError(f"--level should lie between 0 and 1, got {options.level}")
     if not 8 <= options.resolution <= 8192:
         raise ValueError(f"--resolution should lie between 8 and 8192, got {options.resolution}")
+    if options.tolerance is not None and not options.tolerance > 0:
+        raise ValueError(f"--tolerance should be above 0, got {options.tolerance}")
     if options.max_touches < 4:
         raise ValueError(f"--max-touches should be at least 4, got {options.max_touches}")
     if options.output == STDIO:
@@ -218,6 +226,7 @@ def _reconstruct(
         level=options.level,
         keep_cavities=options.keep_cavities,
         max_touches=options.max_touches,
+        tolerance=options.tolerance,
     )
     result.contacts = mesh.metadata["contacts"]
     result.outliers, result.refitted = mesh.metadata["outliers"], mesh.metadata["refitted"]
@@ -225,6 +234,9 @@ def _reconstruct(
     result.vertices, result.faces = len(mesh.vertices), len(mesh.faces)
     result.bounds, result.volume = mesh.bounds.tolist(), float(mesh.volume)
     check_closed(mesh)
+    result.expected_error = float(mesh.vertex_attributes["expected_error"].mean())
+    result.confidence = float(mesh.vertex_attributes["confidence"].mean())
+    result.tolerance = mesh.metadata["tolerance"]
     if output == STDIO:
         buffer = io.BytesIO()
         write_mesh(buffer, mesh, kind=kind)

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
 from touchnet import ops
+from touchnet.confidence import TOLERANCE, expected_error, vertex_normals, within
 from touchnet.frames import Frame, find_outliers
 from touchnet.meshes import fill_cavities
 
@@ -21,6 +22,7 @@ __all__ = ["reconstruct_field", "reconstruct_mesh", "thin"]
 
 Up = Literal["x", "y", "z"] | None
 Field = Callable[[Tensor], Tensor]
+Fitted = tuple[trimesh.Trimesh, np.ndarray]  # a mesh and the expected errors at its vertices
 
 # Rows of the rotation from the input's axes to those of the model's cube, which is y-up.
 _TO_Y_UP = {
@@ -49,6 +51,7 @@ def reconstruct_mesh(
     level: float = 0.5,
     keep_cavities: bool = False,
     max_touches: int = MAX_TOUCHES,
+    tolerance: float | None = None,
 ) -> trimesh.Trimesh:
     """Reconstructs the closed surface of the object that was touched.
 
@@ -69,12 +72,16 @@ def reconstruct_mesh(
         level: the occupancy at the surface.
         keep_cavities: keep enclosed cavities that no contact lies on.
         max_touches: more contacts than this are thinned evenly over the surface (`thin`).
+        tolerance: the error, in the unit of the input, that "confidence" is about; None: 1 % of the longest side of the
+            box of the contacts.
 
     Returns:
         A mesh in the frame and unit of the input, float64, outward winding, not processed (no vertex merged). Its
-        `metadata` say how it came about: "cell" (the side of a cell in the input's unit), "frame", "contacts" (used),
-        "outliers" (left out), "cavities" (filled), "refitted", "meets_border", "distance" (median, from the contacts to
-        the vertices).
+        `vertex_attributes`, float32 (V,), say how far to trust it: "expected_error", the mean distance at which to
+        expect the true surface from a vertex, in the unit of the input, and "confidence", the probability that this
+        distance is within the tolerance (`touchnet.confidence`). Its `metadata` say how it came about: "cell" (the
+        side of a cell in the input's unit), "frame", "contacts" (used), "outliers" (left out), "cavities" (filled),
+        "refitted", "meets_border", "distance" (median, from the contacts to the vertices), "tolerance".
 
     Raises:
         ValueError: contacts that are too few, on a line or not finite; no surface at the level; normals or options that
@@ -83,9 +90,11 @@ def reconstruct_mesh(
     Warns:
         UserWarning: outliers left out, contacts in a plane, a surface that meets the cube or is far from the contacts.
     """
-    points, directions = _checked(points, normals)
+    points, directions = check_contacts(points, normals)
     if up not in _TO_Y_UP:
         raise ValueError(f'up should be "x", "y", "z" or None, got {up!r}')
+    if tolerance is not None and not (np.isfinite(tolerance) and tolerance > 0):
+        raise ValueError(f"tolerance should be a length above 0, got {tolerance}")
     device = pick_device(device)
     outliers = find_outliers(points)
     if outliers.any():
@@ -105,10 +114,10 @@ def reconstruct_mesh(
         points = points[kept]
         directions = None if directions is None else directions[kept]
 
-    model = _load(weights, device)
+    model = ready_model(weights, device)
     turned = None if directions is None else directions @ _TO_Y_UP[up].T
 
-    def mesh_in(frame: Frame) -> trimesh.Trimesh:
+    def mesh_in(frame: Frame) -> tuple[trimesh.Trimesh, np.ndarray]:
         touches = frame.to_cube(points) @ _TO_Y_UP[up].T
         with torch.inference_mode():
             features = model.encode(_batch(touches, device), None if turned is None else _batch(turned, device))
@@ -117,7 +126,7 @@ def reconstruct_mesh(
             with torch.inference_mode():
                 return model.decode(features, queries[None])[0].float()
 
-        return reconstruct_field(
+        mesh = reconstruct_field(
             field,
             frame,
             up=up,
@@ -128,10 +137,14 @@ def reconstruct_mesh(
             device=device,
             dtype=torch.float32,
         )
+        vertices, normals = (
+            rows @ _TO_Y_UP[up].T for rows in (frame.to_cube(mesh.vertices), vertex_normals(mesh.vertices, mesh.faces))
+        )
+        return mesh, frame.scale * expected_error(field, vertices, normals, touches, level=level, device=device)
 
-    mesh, refitted = mesh_in(frame), False
+    (mesh, error), refitted = mesh_in(frame), False
     if mesh.metadata["meets_border"]:
-        mesh, refitted = _refit(mesh, mesh_in, frame.enlarged(REFIT))
+        (mesh, error), refitted = _refit((mesh, error), mesh_in, frame.enlarged(REFIT))
     distance = float(np.median(cKDTree(mesh.vertices).query(points)[0]))
     longest = float(np.ptp(points, axis=0).max())
     if distance > FAR * longest:
@@ -140,7 +153,12 @@ def reconstruct_mesh(
             "longest side: these contacts do not look like the surface of an object that the model knows",
             stacklevel=2,
         )
-    mesh.metadata.update(contacts=len(points), outliers=int(outliers.sum()), refitted=refitted, distance=distance)
+    tolerance = TOLERANCE * longest if tolerance is None else float(tolerance)
+    mesh.vertex_attributes["expected_error"] = error.astype(np.float32)
+    mesh.vertex_attributes["confidence"] = within(error, tolerance).astype(np.float32)
+    mesh.metadata.update(
+        contacts=len(points), outliers=int(outliers.sum()), refitted=refitted, distance=distance, tolerance=tolerance
+    )
     return mesh
 
 
@@ -276,7 +294,8 @@ def _cuda_kernels() -> bool:
     return bool(_C.build_info()["cuda_architectures"])
 
 
-def _checked(points: np.ndarray, normals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+def check_contacts(points: np.ndarray, normals: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+    """Contacts as float64 arrays (N,3), normals of length 1 or zero; ValueError where they are none."""
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"points should have shape (N, 3), got {points.shape}")
@@ -308,7 +327,8 @@ def _check_spread(points: np.ndarray) -> None:
         warnings.warn("all contacts lie in one plane: the depth of the object is a guess", stacklevel=3)
 
 
-def _load(weights: str | os.PathLike[str] | nn.Module, device: torch.device) -> nn.Module:
+def ready_model(weights: str | os.PathLike[str] | nn.Module, device: torch.device) -> nn.Module:
+    """The model itself, or the one of that name or file: on the device, in evaluation mode."""
     if isinstance(weights, nn.Module):
         return weights.to(device).eval()
     from touchnet.weights import load_model
@@ -320,16 +340,14 @@ def _batch(rows: np.ndarray, device: torch.device) -> Tensor:
     return torch.from_numpy(rows).to(device=device, dtype=torch.float32)[None]
 
 
-def _refit(
-    mesh: trimesh.Trimesh, mesh_in: Callable[[Frame], trimesh.Trimesh], frame: Frame
-) -> tuple[trimesh.Trimesh, bool]:
-    """The mesh in a larger cube, or the given one where there is none; and which of them it is."""
+def _refit(fitted: Fitted, fit: Callable[[Frame], Fitted], frame: Frame) -> tuple[Fitted, bool]:
+    """The mesh (and its errors) in a larger cube, or the given one where there is none; and which of them it is."""
     try:
-        again = mesh_in(frame)
+        again = fit(frame)
     except ValueError as error:
         warnings.warn(f"the surface is cut off at the cube; in a larger cube: {error}", stacklevel=3)
-        return mesh, False
-    still = "; it meets the larger cube too and is cut off flat there" if again.metadata["meets_border"] else ""
+        return fitted, False
+    still = "; it meets the larger cube too and is cut off flat there" if again[0].metadata["meets_border"] else ""
     warnings.warn(
         f"the surface met the faces of the cube and was fitted again in one {REFIT} times as large{still}", stacklevel=3
     )

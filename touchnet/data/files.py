@@ -168,6 +168,8 @@ def split_strokes(points: np.ndarray, *, factor: float = 3.0) -> np.ndarray:
 def read_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
     """Reads a triangle mesh as it is (no merging, no clean-up; of an STL equal corners are joined).
 
+    Further float properties of a PLY's vertices, such as "expected_error", become its `vertex_attributes`.
+
     Raises:
         FileNotFoundError: there is no such file.
         ValueError: one line; the file is no mesh, has no faces, or a vertex that is not finite.
@@ -192,7 +194,22 @@ def read_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
         raise ValueError(
             f"{name}: expected finite vertices, found {int((~np.isfinite(mesh.vertices)).sum())} that are not"
         )
+    for key, values in _ply_properties(mesh).items():
+        mesh.vertex_attributes[key] = values
     return mesh
+
+
+def _ply_properties(mesh: trimesh.Trimesh) -> dict[str, np.ndarray]:
+    """What trimesh's reader kept of a PLY's further vertex properties of one float each."""
+    data = mesh.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
+    if not isinstance(data, np.ndarray) or data.shape != (len(mesh.vertices),) or data.dtype.names is None:
+        return {}
+    usual = {"x", "y", "z", "nx", "ny", "nz"}
+    return {
+        name: data[name].astype(data.dtype[name].newbyteorder("="))
+        for name in data.dtype.names
+        if name not in usual and data.dtype[name].kind == "f" and data[name].shape == data.shape
+    }
 
 
 def write_mesh(
@@ -204,8 +221,9 @@ def write_mesh(
 ) -> None:
     """Writes a triangle mesh with enough digits that reading gives the same mesh.
 
-    PLY holds float64, OBJ shortest decimal numbers that read back equal; STL and GLB hold float32 and are refused where
-    that would let vertices fall together. The file is not written atomically (`touchnet.outputs.atomic_output` is).
+    PLY holds float64, and the `vertex_attributes` of one float a vertex as its properties; OBJ holds shortest decimal
+    numbers that read back equal; STL and GLB hold float32 and are refused where that would let vertices fall together.
+    The file is not written atomically (`touchnet.outputs.atomic_output` is).
 
     Args:
         target: a path, or a file opened for writing bytes.
@@ -264,16 +282,33 @@ def check_float32(vertices: np.ndarray, *, kind: str, cell: float | None = None)
 
 
 def _ply_blocks(mesh: trimesh.Trimesh) -> Iterable[bytes]:
-    vertices = np.ascontiguousarray(mesh.vertices, dtype="<f8")
+    attributes = _real_attributes(mesh)
+    fields = [(name, "<f8") for name in "xyz"] + [(name, values.dtype.str) for name, values in attributes.items()]
+    vertices = np.empty(len(mesh.vertices), dtype=fields)
+    for axis, name in enumerate("xyz"):
+        vertices[name] = mesh.vertices[:, axis]
+    for name, values in attributes.items():
+        vertices[name] = values
     faces = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
     faces["count"] = 3
     faces["corners"] = mesh.faces
+    properties = "".join(f"property {'double' if kind == '<f8' else 'float'} {name}\n" for name, kind in fields)
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment touchnet\n"
-        f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"element vertex {len(vertices)}\n{properties}"
         f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
     return [header.encode(), vertices.tobytes(), faces.tobytes()]
+
+
+def _real_attributes(mesh: trimesh.Trimesh) -> dict[str, np.ndarray]:
+    """The mesh's attributes of one float32 or float64 a vertex, by name; others have no place in our PLY."""
+    found = {}
+    for name, values in mesh.vertex_attributes.items():
+        values = np.asarray(values)
+        if values.shape == (len(mesh.vertices),) and values.dtype in (np.float32, np.float64) and name.isidentifier():
+            found[name] = values.astype(values.dtype.newbyteorder("<"), copy=False)
+    return found
 
 
 def _obj_blocks(mesh: trimesh.Trimesh) -> Iterable[bytes]:

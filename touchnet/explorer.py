@@ -1,0 +1,364 @@
+"""Where to touch next: a session of contacts, the surface they suggest, and the places that would tell most about it.
+
+How a place is chosen, and what that is worth in contacts saved: docs/where_to_touch.md.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import point_cloud_utils as pcu
+import torch
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+from torch import nn
+
+from touchnet.data.exploration import ClosestPoints
+from touchnet.data.gp import _KERNELS, _LANES, GaussianProcess
+from touchnet.frames import FILL, Frame
+from touchnet.metrics import sample_surface
+from touchnet.ops._ext import _C
+from touchnet.reconstruction import Up, check_contacts, pick_device, ready_model, reconstruct_mesh
+
+__all__ = ["Explorer", "Suggestions"]
+
+Reachable = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]
+
+CANDIDATES = 1024  # places on the surface among which the next touches are chosen
+LENGTH_SCALE = 0.15  # how far one touch tells, as a share of the longest side of the contacts
+NOISE = 0.05  # standard deviation of a contact against the prior's 1: a touch never tells everything
+GROWTH = 1.1  # how far the contacts' longest side may grow before the Gaussian process starts anew
+STALE = 1.25  # the surface is fitted again once there are so many times as many contacts as it was fitted to
+ASTRAY = 0.03  # ... or one of them lies so far from it, as a share of the longest side
+
+
+class Suggestions(NamedTuple):
+    """Places to touch, the best first, in the frame and unit of the contacts.
+
+    Attributes:
+        positions: (k,3) where the finger should meet the surface.
+        directions: (k,3) unit vectors along which it should come: from outside, against the surface's outward normal.
+        gains: (k,) in 0..1, the share of the expected squared error of the whole surface that this touch is expected to
+            remove, after those before it.
+        expected_errors: (k,) how far the surface may lie from the position, as in the mesh's "expected_error".
+    """
+
+    positions: NDArray[np.float64]
+    directions: NDArray[np.float64]
+    gains: NDArray[np.float64]
+    expected_errors: NDArray[np.float64]
+
+
+class Explorer:
+    """A session with a probe: contacts come in, a closed mesh and the next places to touch come out.
+
+    Contacts accumulate; `mesh` is the reconstruction from all of them, computed when asked for and then kept; `next`
+    chooses among places on its surface. The error of the surface is taken as a Gaussian field: its size at each place
+    is what the network expects there ("expected_error" of `reconstruct_mesh`), how errors at two places go together is
+    the posterior correlation of a Gaussian process that knows the contacts. The place chosen is the one whose touch
+    lowers the expected squared error of the whole surface most; the field is then conditioned on that touch before the
+    next is chosen, which spreads a batch over the object.
+
+    New contacts are put into the Gaussian process at once. The surface is fitted again by `next` only where they
+    contradict it or have become a quarter more, so that a few contacts more cost milliseconds.
+
+    Args:
+        points, normals: the first contacts, as in `add`.
+        up, weights, device, level: as in `reconstruct_mesh`.
+        resolution: cells along the cube for `mesh` and the surface that `next` looks at.
+        floor: height along `up` of a table: no place less than `standoff` above it is suggested. Needs `up`.
+        approach: (3,) direction the finger comes from, such as (0, 0, 1) for a tool that hangs from above z up;
+            suggested directions lie within `cone` of it. None: any.
+        cone: half angle in degrees, in (0, 180].
+        standoff: length of straight path before the contact that has to be free of the object, in the unit of the
+            contacts; None: 5 % of their longest side.
+        reachable: a function of positions (M,3) and directions (M,3) to bool (M,): where the robot can touch.
+
+    Raises:
+        ValueError: options or contacts that do not fit.
+
+    Example:
+        >>> explorer = touchnet.Explorer(points, up="z", floor=0.0)
+        >>> positions, directions, gains, _ = explorer.next(4)
+        >>> explorer.add(contacts_made_there)
+        >>> mesh = explorer.mesh()
+    """
+
+    def __init__(
+        self,
+        points: ArrayLike | None = None,
+        normals: ArrayLike | None = None,
+        *,
+        up: Up = None,
+        weights: str | os.PathLike[str] | nn.Module = "default",
+        resolution: int = 128,
+        device: str | torch.device = "auto",
+        level: float = 0.5,
+        floor: float | None = None,
+        approach: ArrayLike | None = None,
+        cone: float = 90.0,
+        standoff: float | None = None,
+        reachable: Reachable | None = None,
+    ) -> None:
+        if up not in ("x", "y", "z", None):
+            raise ValueError(f'up should be "x", "y", "z" or None, got {up!r}')
+        if floor is not None and up is None:
+            raise ValueError('floor needs up="x", "y" or "z", the axis along which it is a height')
+        if floor is not None and not np.isfinite(floor):
+            raise ValueError(f"floor should be a finite height, got {floor}")
+        if not 0 < cone <= 180:
+            raise ValueError(f"cone should be a half angle in (0, 180] degrees, got {cone}")
+        if standoff is not None and not (np.isfinite(standoff) and standoff >= 0):
+            raise ValueError(f"standoff should be a length ≥ 0, got {standoff}")
+        self.up, self.level, self.resolution = up, level, int(resolution)
+        self.floor, self.cone, self.standoff, self.reachable = floor, float(cone), standoff, reachable
+        self.approach = None if approach is None else _direction(approach)
+        self.device = pick_device(device)
+        self.model = ready_model(weights, self.device)
+        self._points, self._normals = np.empty((0, 3)), np.empty((0, 3))
+        self._visited = np.empty((0, 3))  # contacts and misses, as they came
+        self._mesh: trimesh.Trimesh | None = None
+        self._fitted = 0  # how many contacts the mesh knows
+        self._gp: _Process | None = None
+        self._field: _ErrorField | None = None
+        if points is not None:
+            self.add(points, normals)
+        elif normals is not None:
+            raise ValueError("normals without points")
+
+    def __len__(self) -> int:
+        return len(self._points)
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """The contacts so far (N,3), in the order they came."""
+        return self._points.copy()
+
+    @property
+    def normals(self) -> NDArray[np.float64] | None:
+        """Their outward unit normals (N,3), zero rows where unknown; None where none is known."""
+        return self._normals.copy() if self._normals.any() else None
+
+    def add(self, points: ArrayLike, normals: ArrayLike | None = None) -> None:
+        """Adds contacts.
+
+        Args:
+            points: (N,3) or (3,), finite, in one frame and unit for the whole session.
+            normals: as points, outward directions; None or zero rows where they are not known.
+
+        Raises:
+            ValueError: another shape, or values that are not finite; nothing is added then.
+        """
+        points = np.atleast_2d(np.asarray(points, dtype=np.float64))
+        normals = None if normals is None else np.atleast_2d(np.asarray(normals, dtype=np.float64))
+        points, normals = check_contacts(points, normals)
+        self._points = np.concatenate([self._points, points])
+        self._normals = np.concatenate([self._normals, np.zeros_like(points) if normals is None else normals])
+        self._visited = np.concatenate([self._visited, points])
+
+    def add_misses(self, points: ArrayLike) -> None:
+        """Tells that fingers came to these places (N,3) or (3,) and met nothing, so that they are not suggested again.
+
+        The network knows of contacts only: `mesh` stays as it is.
+
+        Raises:
+            ValueError: another shape, or values that are not finite.
+        """
+        points, _ = check_contacts(np.atleast_2d(np.asarray(points, dtype=np.float64)), None)
+        self._visited = np.concatenate([self._visited, points])
+
+    def mesh(self, resolution: int | None = None) -> trimesh.Trimesh:
+        """The closed surface from all contacts so far: what `reconstruct_mesh` returns for them.
+
+        Args:
+            resolution: another one than the session's.
+
+        Raises:
+            ValueError: contacts that bound no solid, or no surface.
+        """
+        if resolution is not None and resolution != self.resolution:
+            return self._reconstruct(resolution)
+        if self._mesh is None or self._fitted < len(self):
+            self._mesh, self._fitted, self._field = self._reconstruct(self.resolution), len(self), None
+        return self._mesh
+
+    def next(self, k: int = 1, *, refit: bool | None = None) -> Suggestions:
+        """The k places whose touches are expected to tell most, to be made in this order or all at once.
+
+        Args:
+            k: how many, ≥ 1; fewer are returned where fewer are reachable.
+            refit: fit the surface to all contacts first. None: where they contradict it or are a quarter more than it
+                was fitted to. False: only where there is none yet, which bounds the time this takes.
+
+        Raises:
+            ValueError: contacts that bound no solid, no surface, or no reachable place on it.
+        """
+        if k < 1:
+            raise ValueError(f"k should be at least 1, got {k}")
+        if self._mesh is None or (self._is_stale() if refit is None else refit):
+            self.mesh()
+        process = self._process()
+        if self._field is None:
+            self._field = _ErrorField(self._mesh, process, self._can_reach)
+        return self._field.best(process, k)
+
+    def _reconstruct(self, resolution: int) -> trimesh.Trimesh:
+        return reconstruct_mesh(
+            self._points,
+            normals=self.normals,
+            up=self.up,
+            weights=self.model,
+            resolution=resolution,
+            device=self.device,
+            level=self.level,
+        )
+
+    def _is_stale(self) -> bool:
+        new = self._points[self._fitted :]
+        if not len(new):
+            return False
+        if len(self) >= STALE * self._fitted:
+            return True
+        frame = self._mesh.metadata["frame"]
+        _, _, distance = self._closest()(new)
+        return bool(distance.max() > ASTRAY * FILL * frame.scale)
+
+    def _closest(self) -> ClosestPoints:
+        tree = self._mesh.metadata.get("closest")
+        if tree is None:
+            tree = self._mesh.metadata["closest"] = ClosestPoints(self._mesh.vertices, self._mesh.faces)
+        return tree
+
+    def _process(self) -> _Process:
+        """The Gaussian process with all places visited; it starts anew where they have outgrown its length scale."""
+        if self._gp is None or len(self._gp.gp) < len(self._visited):
+            frame = Frame.fit(self._points)
+            if self._gp is None or frame.scale > GROWTH * self._gp.frame.scale:
+                self._gp, self._field = _Process(frame), None
+            self._gp.learn(self._visited)
+        return self._gp
+
+    def _can_reach(self, positions: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.bool_]:
+        side = FILL * self._mesh.metadata["frame"].scale
+        standoff = 0.05 * side if self.standoff is None else self.standoff
+        allowed = np.ones(len(positions), dtype=bool)
+        if self.approach is not None:
+            allowed &= normals @ self.approach >= np.cos(np.deg2rad(self.cone)) - 1e-12
+        if self.floor is not None:
+            axis = "xyz".index(self.up)
+            lowest = positions[:, axis] + np.minimum(0.0, normals[:, axis]) * standoff
+            allowed &= lowest >= self.floor + 0.2 * standoff
+        if self.reachable is not None:
+            said = np.asarray(self.reachable(positions.copy(), -normals))
+            if said.shape != (len(positions),) or said.dtype != bool:
+                raise ValueError(
+                    f"reachable should return {len(positions)} bools, got {said.dtype} of shape {said.shape}"
+                )
+            allowed &= said
+        if standoff > 0 and allowed.any():
+            # A cell away from the surface, so that its own roughness does not count.
+            begin = min(self._mesh.metadata["cell"], 0.25 * standoff)
+            steps = np.linspace(begin, standoff, 6)
+            path = positions[allowed][:, None] + steps[:, None] * normals[allowed][:, None]
+            winding = pcu.triangle_soup_fast_winding_number(
+                np.asarray(self._mesh.vertices), np.asarray(self._mesh.faces, dtype=np.int32), path.reshape(-1, 3)
+            )
+            allowed[allowed] = (np.abs(winding).reshape(-1, len(steps)) < 0.5).all(axis=1)
+        return allowed
+
+
+class _Process:
+    """The Gaussian process of a session, in coordinates where the contacts' longest side was 1 when it began."""
+
+    def __init__(self, frame: Frame) -> None:
+        self.frame, self.side = frame, FILL * frame.scale
+        self.gp = GaussianProcess("matern32", length_scale=LENGTH_SCALE, noise=NOISE)
+
+    def to_unit(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return (points - self.frame.centre) / self.side
+
+    def learn(self, points: NDArray[np.float64]) -> None:
+        """Adds those of the places (N,3) that it does not know yet."""
+        self.gp.add(self.to_unit(points[len(self.gp) :]))
+
+
+class _ErrorField:
+    """The expected error of a surface at candidate places, and its covariance, kept up with the contacts."""
+
+    def __init__(self, mesh: trimesh.Trimesh, process: _Process, can_reach: Reachable) -> None:
+        # Even by area, so that a sum over candidates is an integral over the surface.
+        self.positions, face = sample_surface(mesh, CANDIDATES, generator=np.random.default_rng(0))
+        corners = np.asarray(mesh.faces)[face]
+        self.errors = np.asarray(mesh.vertex_attributes["expected_error"])[corners].mean(axis=1)
+        normals = mesh.face_normals[face]
+        self.normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        self.reachable = can_reach(self.positions, self.normals)
+        self.unit = np.ascontiguousarray(process.to_unit(self.positions))
+        self.known = 0
+        self.solved = np.empty((CANDIDATES // _LANES, 0, _LANES))  # L⁻¹ k(X, candidates), as gp_extend keeps it
+        self.variance = np.ones(CANDIDATES)
+        self.covariance = np.empty((CANDIDATES, CANDIDATES))
+        gp, at = process.gp, self.unit.ctypes.data
+        out = self.covariance.ctypes.data
+        _C.gp_kernel(_KERNELS[gp.kernel], gp.length_scale, at, CANDIDATES, at, CANDIDATES, out)
+        self._follow(gp)
+        # What the network expects is about what the contacts so far leave open.
+        self.weights = self.errors**2 / np.maximum(self.covariance.diagonal(), NOISE**2)
+
+    def _follow(self, gp: GaussianProcess) -> None:
+        """Conditions the covariance on the contacts that are new."""
+        known, n = self.known, len(gp)
+        if n == known:
+            return
+        if n > self.solved.shape[1]:
+            grown = np.empty((CANDIDATES // _LANES, n + n // 4, _LANES))
+            grown[:, :known] = self.solved[:, :known]
+            self.solved = grown
+        _C.gp_extend(
+            _KERNELS[gp.kernel],
+            gp.length_scale,
+            gp._points.ctypes.data,
+            gp._factor.ctypes.data,
+            known,
+            n,
+            self.unit.ctypes.data,
+            CANDIDATES // _LANES,
+            self.solved.shape[1],
+            self.solved.ctypes.data,
+            self.variance.ctypes.data,
+        )
+        new = self.solved[:, known:n].transpose(1, 0, 2).reshape(n - known, CANDIDATES)
+        self.covariance -= new.T @ new
+        self.known = n
+
+    def best(self, process: _Process, k: int) -> Suggestions:
+        self._follow(process.gp)
+        if not self.reachable.any():
+            raise ValueError(
+                "no place on the surface is reachable: approach, cone, floor, standoff or reachable are too strict"
+            )
+        covariance = self.covariance.copy()
+        total = float((self.weights * covariance.diagonal()).sum())
+        chosen: list[int] = []
+        gains: list[float] = []
+        open_ = self.reachable.copy()
+        for _ in range(min(k, int(open_.sum()))):
+            removed = self.weights @ covariance**2 / (np.maximum(covariance.diagonal(), 0) + NOISE**2)
+            removed[~open_] = -np.inf
+            best = int(removed.argmax())
+            chosen.append(best)
+            gains.append(float(removed[best]) / max(total, 1e-300))
+            open_[best] = False
+            row = covariance[best] / np.sqrt(max(covariance[best, best], 0) + NOISE**2)
+            covariance -= row[:, None] * row
+        return Suggestions(self.positions[chosen], -self.normals[chosen], np.clip(gains, 0, 1), self.errors[chosen])
+
+
+def _direction(vector: ArrayLike) -> NDArray[np.float64]:
+    vector = np.asarray(vector, dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not np.any(vector):
+        raise ValueError(f"approach should be a direction (3,), finite and not zero, got {vector.tolist()}")
+    return vector / np.linalg.norm(vector)
