@@ -4,6 +4,7 @@ Speaks the DevTools protocol of Chromium over a pipe, so it needs the browser an
 another one. No host name resolves in it and no server but one on this machine can be reached.
 """
 
+import atexit
 import base64
 import contextlib
 import io
@@ -178,7 +179,9 @@ class Page:
 def open_page(
     what: str | os.PathLike[str], *, width: int = 1280, height: int = 800, dark: bool = False
 ) -> Iterator[Page]:
-    """Opens a file or an address in a headless browser of its own; skips the test where there is none.
+    """Opens a file or an address in a headless browser; skips the test where there is none.
+
+    The browser starts with the first page and stays for the others; each has its own cookies, storage and cache.
 
     Args:
         what: the path of a file, or an address that starts with http:, https: or file:.
@@ -189,10 +192,16 @@ def open_page(
     address = str(what)
     if not address.startswith(("http:", "https:", "file:")):
         address = Path(what).resolve(strict=True).as_uri()
-    with _Browser(need_browser()) as browser:
-        page = Page(browser, browser.call("Target.createTarget", url="about:blank")["targetId"], width, height, dark)
+    browser = _Browser.running()
+    context = browser.call("Target.createBrowserContext")["browserContextId"]
+    try:
+        target = browser.call("Target.createTarget", url="about:blank", browserContextId=context)["targetId"]
+        page = Page(browser, target, width, height, dark)
         page.open(address)
         yield page
+    finally:
+        with contextlib.suppress(OSError, AssertionError):  # it may have crashed
+            browser.call("Target.disposeBrowserContext", browserContextId=context)
 
 
 def _origin(address: str) -> str:
@@ -209,7 +218,9 @@ def _thrown(details: dict[str, Any]) -> str:
 
 
 class _Browser:
-    """A running browser and the pipe to it."""
+    """A browser and the pipe to it."""
+
+    _last: "_Browser | None" = None
 
     OPTIONS = (
         "--headless",
@@ -242,10 +253,15 @@ class _Browser:
             bufsize=0,
         )
 
-    def __enter__(self) -> "_Browser":
-        return self
+    @classmethod
+    def running(cls) -> "_Browser":
+        """The browser of this process; a new one where there is none or the last one has ended."""
+        if cls._last is None or cls._last._process.poll() is not None:
+            cls._last = cls(need_browser())
+            atexit.register(cls._last.close)
+        return cls._last
 
-    def __exit__(self, *exc: object) -> None:
+    def close(self) -> None:
         with contextlib.suppress(OSError, AssertionError):
             self.call("Browser.close")
         try:

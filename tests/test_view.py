@@ -23,8 +23,8 @@ from touchnet.viewer.scene import MAX_SHOWN, Scene, Step, Suggestion, confidence
 from touchnet.viewer.server import Server
 
 READY = "document.documentElement.dataset.state === 'ready'"
-WIDTH, HEIGHT = 800, 560  # drawing without a graphics card takes its time
-MIDDLE = (slice(60, 470), slice(310, 780))  # of a picture, where nothing but the canvas is
+WIDTH, HEIGHT = 680, 480  # drawing without a graphics card takes its time
+MIDDLE = (slice(60, 390), slice(310, 660))  # of a picture, where nothing but the canvas is
 
 
 class Ball(torch.nn.Module):
@@ -199,7 +199,7 @@ def test_confidence_colours_the_mesh_where_there_is_one(tmp_path):
         page.click("#suggestions")
         orange = (((150, 255), (60, 150), (0, 110)),)
         with_colour = page.screenshot()
-        assert count_pixels(with_colour, *orange[0]) > 3000
+        assert count_pixels(with_colour, *orange[0]) > 2000
         assert page.evaluate("$('tolerance').textContent") == "that the surface is within 0.5"
         page.click("#confidence")
         assert count_pixels(page.screenshot(), *orange[0]) < 100
@@ -220,8 +220,7 @@ def test_suggestions_are_listed_and_turned_to(tmp_path):
         assert page.evaluate("$('labels').childElementCount") == 0
 
 
-@pytest.mark.parametrize("dark", [False, True])
-@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 780)])
+@pytest.mark.parametrize(("width", "height", "dark"), [(1280, 800, True), (390, 780, False)])
 def test_nothing_overlaps_in_wide_and_narrow_windows(tmp_path, width, height, dark):
     with shown(small_scene(), tmp_path, width=width, height=height, dark=dark) as page:
         boxes = [page.evaluate(f"$('{name}').getBoundingClientRect().toJSON()") for name in ("panel", "tools", "bar")]
@@ -266,7 +265,7 @@ def test_a_page_comes_back_after_the_graphics_card_forgot(tmp_path):
     with shown(small_scene(), tmp_path) as page:
         before = page.screenshot()
         page.evaluate("(window.lose = page.renderer.gl.getExtension('WEBGL_lose_context')).loseContext()")
-        page.evaluate("new Promise(done => setTimeout(done, 100))")
+        page.wait_for("page.renderer.gl.isContextLost()")
         page.evaluate("window.old = page.renderer; lose.restoreContext()")
         page.wait_for("page.renderer !== window.old")
         page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
@@ -439,7 +438,7 @@ def test_the_server_answers_this_machine_and_nothing_else():
         return Step(count, sphere())
 
     with served(small_scene(live=True), make_step) as server:
-        assert server.socket.getsockname()[0] in ("127.0.0.1", "::1")
+        assert server.socket.getsockname()[0] == "127.0.0.1"
         assert answer(server.address)[0] == 200
         assert unpacked(answer(f"{server.address}step?count=77")[1])["count"] == 77
         assert unpacked(answer(f"{server.address}step?count=77")[1])["faces"] == 1280
@@ -449,6 +448,7 @@ def test_the_server_answers_this_machine_and_nothing_else():
         for path in ("page.js", "../view.py", "%2e%2e/view.py", "favicon.ico"):
             assert answer(server.address + path)[0] == 404, path
         assert answer(server.address, host=f"127.0.0.1:{server.server_port}")[0] == 200
+        assert answer(server.address, host="localhost")[0] == 200
         # A name of a page elsewhere that resolves to this machine.
         assert answer(server.address, host="evil.example:80")[0] == 403
         assert answer(f"{server.address}step?count=5", host="evil.example")[0] == 403

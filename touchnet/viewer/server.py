@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable
 from http import HTTPStatus
@@ -13,7 +14,7 @@ from touchnet.viewer.scene import Scene, Step
 
 __all__ = ["Server"]
 
-LOCAL = ("localhost", "127.0.0.1", "::1")
+LOCAL = ("localhost", "127.0.0.1")
 
 
 class Server(ThreadingHTTPServer):
@@ -53,11 +54,16 @@ class Server(ThreadingHTTPServer):
         # The standard library's asks the name service for the name of this machine, which may take seconds.
         self.server_name = self.host
 
+    def handle_error(self, request: object, client_address: object) -> None:
+        # A page that is closed or asks anew does not wait for the answer.
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
     def is_for_us(self, host: str | None) -> bool:
         """Whether a request names this server. Elsewhere a page could point its own name at this machine and read."""
         if self.host not in LOCAL:
             return True
-        return host is not None and host.rpartition(":")[0].strip("[]") in LOCAL
+        return host is not None and host.rsplit(":", 1)[0].lower() in LOCAL
 
     def step(self, count: int) -> bytes:
         """The packed step after so many contacts; KeyError where there is none."""
