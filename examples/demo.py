@@ -32,6 +32,7 @@ def main() -> None:
     parser.add_argument("--shapes", type=int, default=60, help="procedural shapes to train on")
     parser.add_argument("--steps", type=int, default=250, help="training steps")
     parser.add_argument("--model", default="base", choices=["base", "tiny"])
+    parser.add_argument("--resolution", type=int, default=256, help="cells of the meshes along the longest side")
     options = parser.parse_args()
     output: Path = options.output
     output.mkdir(parents=True, exist_ok=True)
@@ -43,7 +44,7 @@ def main() -> None:
     data, weights = output / f"procedural-{options.shapes}", output / "model" / "weights.safetensors"
     run(
         evaluate, data, "--weights", weights, "--split", "test", "--contacts", "512", "2048", "--normals", "with",
-        "--output", output / "evaluation", "--force",
+        "--resolution", min(options.resolution, 128), "--output", output / "evaluation", "--force",
     )  # fmt: skip
 
     shape = procedural_sources(3, seed=2026)[0].load()
@@ -51,7 +52,10 @@ def main() -> None:
     # In millimetres, far from the origin, as a robot might report it: the mesh comes back in the same frame.
     rows = np.hstack([touches.points * 180 + [400, -250, 90], touches.normals])
     np.savetxt(output / "touches.csv", rows, delimiter=",", header="x,y,z,nx,ny,nz", comments="", fmt="%.6f")
-    run(reconstruct, output / "touches.csv", "--weights", weights, "-o", output / "mesh.ply", "--force")
+    run(
+        reconstruct, output / "touches.csv", "--weights", weights, "--resolution", options.resolution,
+        "-o", output / "mesh.ply", "--force",
+    )  # fmt: skip
     shape.apply_scale(180)
     shape.apply_translation([400, -250, 90])
     picture = [
