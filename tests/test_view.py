@@ -15,6 +15,7 @@ import pytest
 import torch
 import trimesh
 
+import touchnet
 from tests.browser import open_page
 from touchnet.data.files import Points, write_mesh
 from touchnet.view import main
@@ -73,8 +74,8 @@ def small_scene(**options):
     centre = contacts.points.mean(axis=0)
     towards_viewer = np.array([0.5, 0.4, 0.77]) / np.linalg.norm([0.5, 0.4, 0.77])
     suggestions = [
-        Suggestion(centre + 48 * towards_viewer, -towards_viewer, 0.25),
-        Suggestion(centre + np.array([0, 48, 0]), np.array([0, -1.0, 0]), 0.125),
+        Suggestion(centre + 48 * towards_viewer, -towards_viewer, 0.25, 2.0),
+        Suggestion(centre + np.array([0, 48, 0]), np.array([0, -1.0, 0]), 0.125, 1.5),
     ]
     steps = [
         Step(32, sphere(40.0)),
@@ -212,8 +213,8 @@ def test_suggestions_are_listed_and_turned_to(tmp_path):
     with shown(small_scene(), tmp_path) as page:
         rows = page.evaluate("[...$('next').rows].map(row => [...row.cells].map(cell => cell.innerText))")
         assert [row[0] for row in rows] == ["1", "2"]
-        assert rows[1][1:] == ["100.00", "28.00", "400.00", "0.125"]
-        assert page.evaluate("csv().split('\\n')[2]") == "100,28,400,0,-1,0,0.125"
+        assert rows[1][1:] == ["100.00", "28.00", "400.00", "13 %"]
+        assert page.evaluate("csv().split('\\n')[2]") == "100,28,400,0,-1,0,0.125,1.5"
         page.click("#next tr:nth-child(2)")
         page.wait_for("page.camera.elevation > 1.19")
         page.evaluate("setCount(32)")
@@ -352,6 +353,23 @@ def test_save_makes_one_page_and_keeps_what_is_there(here, ball, capsys):
         assert "128 contacts" in facts(opened)
 
 
+def test_the_page_suggests_what_the_explorer_does(here, ball, capsys, monkeypatch):
+    contacts = strokes_on_a_sphere()
+    touches = table("t.csv", contacts)
+    assert main([touches, *SAVE, "--steps", "1", "--suggestions", "3"]) == 0
+    expected = touchnet.Explorer(contacts.points, weights=Ball(), resolution=32).next(3)
+    with open_page("page.html", width=WIDTH, height=HEIGHT) as page:
+        page.wait_for(READY)
+        page.check()
+        found = np.array([row.split(",") for row in page.evaluate("csv()").splitlines()[1:]], dtype=float)
+        np.testing.assert_allclose(found, np.column_stack(expected), rtol=1e-9, atol=1e-9)
+        assert not page.evaluate("$('confidence-row').hidden")
+        assert page.evaluate("page.step.tolerance") == pytest.approx(0.01 * np.ptp(contacts.points, axis=0).max())
+    monkeypatch.setattr("touchnet.view.MOST_EXPLORED", 100)
+    assert main([touches, *SAVE, "-f"]) == 0
+    assert "t.csv: no suggestions from more than 100 contacts" in capsys.readouterr().err
+
+
 def test_a_save_that_fails_leaves_nothing(here, ball, monkeypatch):
     touches = table("t.csv", strokes_on_a_sphere())
 
@@ -369,13 +387,14 @@ def test_a_given_mesh_is_shown_as_it_is(here, monkeypatch, capsys):
 
     monkeypatch.setattr("touchnet.weights.load_model", refuse)
     touches = table("t.csv", strokes_on_a_sphere())
-    write_mesh("truth.ply", sphere())
+    write_mesh("truth.ply", sphere(confidence=True))
     assert main([touches, "truth.ply", *SAVE]) == 0
     assert capsys.readouterr().err == ""
     with open_page("page.html") as page:
         page.wait_for(READY)
         page.check()
         assert "truth.ply" in facts(page) and "1280, closed" in facts(page)
+        assert set(page.evaluate("[...page.step.confidence]")) == {0, 255}
         page.evaluate("setCount(3)")
         assert "truth.ply" in facts(page)
     write_mesh("far.ply", sphere(centre=(0, 0, 0)))

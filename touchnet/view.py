@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 PROG = "touchnet view"
 STDIN = Path("-")
+MOST_EXPLORED = 4096  # contacts: suggestions take the square of their number in memory, 128 MiB here
 
 
 @dataclass(frozen=True)
@@ -152,8 +153,9 @@ def _step_maker(contacts: Points, suggestions: int, options: Options) -> Callabl
     """What makes the step after so many contacts; what goes wrong becomes a note of the step."""
     import torch
 
-    from touchnet.reconstruction import pick_device, reconstruct_mesh
-    from touchnet.viewer.scene import Step
+    from touchnet.explorer import Explorer
+    from touchnet.reconstruction import pick_device
+    from touchnet.viewer.scene import Step, Suggestion
     from touchnet.weights import load_model
 
     torch.manual_seed(options.seed)
@@ -165,14 +167,20 @@ def _step_maker(contacts: Points, suggestions: int, options: Options) -> Callabl
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always", UserWarning)
             try:
-                mesh = reconstruct_mesh(
+                explorer = Explorer(
                     contacts.points[:count],
-                    normals=None if contacts.normals is None else contacts.normals[:count],
+                    None if contacts.normals is None else contacts.normals[:count],
                     up=options.up,
                     weights=model,
                     resolution=options.resolution,
                     device=device,
                 )
+                mesh = explorer.mesh()
+                if suggestions and count > MOST_EXPLORED:
+                    notes.append(f"no suggestions from more than {MOST_EXPLORED} contacts")
+                elif suggestions:
+                    found = explorer.next(suggestions)
+                    places = [Suggestion(*row) for row in zip(*found, strict=True)]
             except ValueError as error:
                 notes.append(cli.one_line(error))
         notes = [cli.one_line(w.message) for w in said if issubclass(w.category, UserWarning)] + notes

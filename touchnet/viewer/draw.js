@@ -367,7 +367,7 @@ class Renderer {
       gl.disable(gl.CULL_FACE);
     };
     const solid = view.meshShown && view.opacity === 1;
-    if (solid) mesh(1);
+    if (solid) mesh(1, view.closed ? gl.BACK : null); // of a closed mesh no back is ever seen
     if (view.contactsShown) {
       gl.enable(gl.SAMPLE_ALPHA_TO_COVERAGE);
       this.use(this.balls, { ...shared, u_radius: view.radius, u_least: view.least, u_first: 1 });

@@ -20,6 +20,8 @@ function number(value, digits = 4) {
   return value.toLocaleString("en", { maximumSignificantDigits: digits, useGrouping: false });
 }
 
+const percent = (share) => `${number(100 * share, 2)} %`;
+
 // A place of the scene in the user's frame, with a thousandth of the object as the last digit.
 function coordinates(p) {
   const { centre, side } = page.scene;
@@ -86,6 +88,7 @@ function currentView() {
     lines: checked("contacts") && checked("paths") ? page.linesBefore[shown] : 0,
     ticks: checked("contacts") && checked("normals") && page.scene.normal ? shown : 0,
     meshShown: checked("mesh"),
+    closed: Boolean(page.step.closed),
     opacity: Number($("opacity").value),
     arrowsShown: checked("suggestions"),
   };
@@ -238,7 +241,7 @@ function placeFloor() {
 }
 
 function listSuggestions(suggestions) {
-  page.arrows = suggestions.map(({ position, approach }) => ({ tip: toScene(position), away: unit(scaled(approach, -1)) }));
+  page.arrows = suggestions.map(({ position, direction }) => ({ tip: toScene(position), away: unit(scaled(direction, -1)) }));
   page.renderer.setArrows(page.arrows.map((a) => a.tip), page.arrows.map((a) => a.away));
   $("suggestions-set").hidden = !page.steps.some((step) => step.suggestions.length);
   $("labels").replaceChildren(...suggestions.map((_, k) => element("span", k + 1)));
@@ -247,8 +250,8 @@ function listSuggestions(suggestions) {
       const row = element("tr");
       const cell = element("td");
       cell.append(element("span", k + 1, "badge"));
-      row.append(cell, ...coordinates(page.arrows[k].tip).map((c) => element("td", c)), element("td", number(suggestion.gain, 3)));
-      row.title = `approach ${suggestion.approach.map((c) => c.toFixed(3)).join(", ")}`;
+      row.append(cell, ...coordinates(page.arrows[k].tip).map((c) => element("td", c)), element("td", percent(suggestion.gain)));
+      row.title = "Look at it";
       row.onclick = () => face(page.arrows[k].away);
       return row;
     }),
@@ -477,8 +480,14 @@ function hover(event) {
     if (id === 0) return;
     if (id >= ARROW_IDS) {
       const k = id - ARROW_IDS;
-      const { approach, gain } = page.step.suggestions[k];
-      tip.textContent = `touch next: ${k + 1}, gain ${number(gain, 3)}\n${coordinates(page.arrows[k].tip).join("  ")}\napproach ${approach.map((c) => c.toFixed(3)).join("  ")}`;
+      const { direction, gain, expected_error: off } = page.step.suggestions[k];
+      const lines = [
+        `${k + 1}: touch here to remove ${percent(gain)} of the expected error`,
+        coordinates(page.arrows[k].tip).join("  "),
+        `along ${direction.map((c) => c.toFixed(3)).join("  ")}`,
+        `the surface may be ${number(off, 2)} off`,
+      ];
+      tip.textContent = lines.join("\n");
     } else {
       const i = id - 1;
       const stroke = page.scene.stroke[i];
@@ -502,8 +511,11 @@ function fold(folded) {
 }
 
 function csv() {
-  const rows = page.step.suggestions.map(({ position, approach, gain }) => [...position, ...approach, gain].map((c) => Number(c.toPrecision(10))).join(","));
-  return ["x,y,z,approach_x,approach_y,approach_z,gain", ...rows, ""].join("\n");
+  const rows = page.step.suggestions.map((suggestion) => {
+    const { position, direction, gain, expected_error: off } = suggestion;
+    return [...position, ...direction, gain, off].map((c) => Number(c.toPrecision(10))).join(",");
+  });
+  return ["x,y,z,dx,dy,dz,gain,expected_error", ...rows, ""].join("\n"); // as `touchnet explore` writes them
 }
 
 function listen() {

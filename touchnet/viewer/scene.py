@@ -24,17 +24,19 @@ FEWEST = 16  # contacts that a mesh is first made from
 
 @dataclass(frozen=True)
 class Suggestion:
-    """A place to touch next.
+    """A place to touch next; as one row of `touchnet.explorer.Suggestions`.
 
     Attributes:
-        position: (3,) where the surface is expected.
-        approach: (3,) the direction that the probe moves in, of length 1.
-        gain: what the touch is expected to tell, larger is more; only its order means something.
+        position: (3,) where the finger should meet the surface.
+        direction: (3,) along which it should come, of length 1.
+        gain: in 0..1, the share of the surface's expected squared error that the touch is expected to remove.
+        expected_error: how far the surface may lie from the position.
     """
 
     position: np.ndarray
-    approach: np.ndarray
+    direction: np.ndarray
     gain: float
+    expected_error: float
 
 
 @dataclass(frozen=True)
@@ -133,8 +135,9 @@ class Scene:
             "suggestions": [
                 {
                     "position": np.asarray(s.position, dtype=np.float64).tolist(),
-                    "approach": np.asarray(s.approach, dtype=np.float64).tolist(),
+                    "direction": np.asarray(s.direction, dtype=np.float64).tolist(),
                     "gain": float(s.gain),
+                    "expected_error": float(s.expected_error),
                 }
                 for s in step.suggestions
             ],
