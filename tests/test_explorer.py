@@ -77,7 +77,7 @@ def test_the_covariance_is_that_of_the_gaussian_process_however_the_contacts_cam
     for part in np.array_split(sphere(40, seed=3), 3):
         session.add(part)
         session.next(2, refit=False)
-    field, process = session._field, session._gp
+    field, process = session._places, session._gp
     assert field.covariance.diagonal() == pytest.approx(process.gp.variance(field.unit), abs=1e-9)
     # Off the diagonal: V(x given contacts and y) = V(x) - C(x, y)² / (V(y) + noise²).
     other = session._gp.gp.variance(field.unit)

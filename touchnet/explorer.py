@@ -10,18 +10,20 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-import point_cloud_utils as pcu
 import torch
 import trimesh
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
+from scipy.spatial import cKDTree
 from torch import nn
 
+from touchnet import ops
 from touchnet.data.exploration import ClosestPoints
 from touchnet.data.gp import _KERNELS, _LANES, GaussianProcess
 from touchnet.frames import FILL, Frame
 from touchnet.metrics import sample_surface
 from touchnet.ops._ext import _C
-from touchnet.reconstruction import Up, check_contacts, pick_device, ready_model, reconstruct_mesh
+from touchnet.reconstruction import Reconstruction, Up, check_contacts, pick_device, ready_model, reconstruct_with_field
 
 __all__ = ["Explorer", "Suggestions"]
 
@@ -31,6 +33,9 @@ CANDIDATES = 1024  # places on the surface among which the next touches are chos
 LENGTH_SCALE = 0.15  # how far one touch tells, as a share of the longest side of the contacts
 NOISE = 0.05  # standard deviation of a contact against the prior's 1: a touch never tells everything
 GROWTH = 1.1  # how far the contacts' longest side may grow before the Gaussian process starts anew
+LATTICE = 64  # vertices along the cube at which the occupancy is looked up
+POSSIBLE = 0.25  # occupancy from which on the object may well be there
+DEPTH, STEPS = 0.15, 24  # how far a finger is followed, as a share of the longest side, and in how many steps
 STALE = 1.25  # the surface is fitted again once there are so many times as many contacts as it was fitted to
 ASTRAY = 0.03  # ... or one of them lies so far from it, as a share of the longest side
 
@@ -120,10 +125,10 @@ class Explorer:
         self.model = ready_model(weights, self.device)
         self._points, self._normals = np.empty((0, 3)), np.empty((0, 3))
         self._visited = np.empty((0, 3))  # contacts and misses, as they came
-        self._mesh: trimesh.Trimesh | None = None
-        self._fitted = 0  # how many contacts the mesh knows
+        self._fit: Reconstruction | None = None
+        self._fitted = 0  # how many contacts it knows
         self._gp: _Process | None = None
-        self._field: _ErrorField | None = None
+        self._places: _Places | None = None
         if points is not None:
             self.add(points, normals)
         elif normals is not None:
@@ -180,10 +185,10 @@ class Explorer:
             ValueError: contacts that bound no solid, or no surface.
         """
         if resolution is not None and resolution != self.resolution:
-            return self._reconstruct(resolution)
-        if self._mesh is None or self._fitted < len(self):
-            self._mesh, self._fitted, self._field = self._reconstruct(self.resolution), len(self), None
-        return self._mesh
+            return self._reconstruct(resolution).mesh
+        if self._fit is None or self._fitted < len(self):
+            self._fit, self._fitted, self._places = self._reconstruct(self.resolution), len(self), None
+        return self._fit.mesh
 
     def next(self, k: int = 1, *, refit: bool | None = None) -> Suggestions:
         """The k places whose touches are expected to tell most, to be made in this order or all at once.
@@ -198,15 +203,15 @@ class Explorer:
         """
         if k < 1:
             raise ValueError(f"k should be at least 1, got {k}")
-        if self._mesh is None or (self._is_stale() if refit is None else refit):
+        if self._fit is None or (self._is_stale() if refit is None else refit):
             self.mesh()
         process = self._process()
-        if self._field is None:
-            self._field = _ErrorField(self._mesh, process, self._can_reach)
-        return self._field.best(process, k)
+        if self._places is None:
+            self._places = _Places(self._fit, self.level, process, self._can_reach)
+        return self._places.best(process, k)
 
-    def _reconstruct(self, resolution: int) -> trimesh.Trimesh:
-        return reconstruct_mesh(
+    def _reconstruct(self, resolution: int) -> Reconstruction:
+        return reconstruct_with_field(
             self._points,
             normals=self.normals,
             up=self.up,
@@ -222,28 +227,22 @@ class Explorer:
             return False
         if len(self) >= STALE * self._fitted:
             return True
-        frame = self._mesh.metadata["frame"]
-        _, _, distance = self._closest()(new)
-        return bool(distance.max() > ASTRAY * FILL * frame.scale)
-
-    def _closest(self) -> ClosestPoints:
-        tree = self._mesh.metadata.get("closest")
-        if tree is None:
-            tree = self._mesh.metadata["closest"] = ClosestPoints(self._mesh.vertices, self._mesh.faces)
-        return tree
+        mesh = self._fit.mesh
+        _, _, distance = ClosestPoints(mesh.vertices, mesh.faces)(new)
+        return bool(distance.max() > ASTRAY * FILL * mesh.metadata["frame"].scale)
 
     def _process(self) -> _Process:
         """The Gaussian process with all places visited; it starts anew where they have outgrown its length scale."""
         if self._gp is None or len(self._gp.gp) < len(self._visited):
             frame = Frame.fit(self._points)
             if self._gp is None or frame.scale > GROWTH * self._gp.frame.scale:
-                self._gp, self._field = _Process(frame), None
+                self._gp, self._places = _Process(frame), None
             self._gp.learn(self._visited)
         return self._gp
 
-    def _can_reach(self, positions: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.bool_]:
-        side = FILL * self._mesh.metadata["frame"].scale
-        standoff = 0.05 * side if self.standoff is None else self.standoff
+    def _can_reach(self, places: _Places) -> NDArray[np.bool_]:
+        positions, normals = places.positions, places.normals
+        standoff = 0.05 * places.side if self.standoff is None else self.standoff
         allowed = np.ones(len(positions), dtype=bool)
         if self.approach is not None:
             allowed &= normals @ self.approach >= np.cos(np.deg2rad(self.cone)) - 1e-12
@@ -258,15 +257,11 @@ class Explorer:
                     f"reachable should return {len(positions)} bools, got {said.dtype} of shape {said.shape}"
                 )
             allowed &= said
-        if standoff > 0 and allowed.any():
-            # A cell away from the surface, so that its own roughness does not count.
-            begin = min(self._mesh.metadata["cell"], 0.25 * standoff)
-            steps = np.linspace(begin, standoff, 6)
-            path = positions[allowed][:, None] + steps[:, None] * normals[allowed][:, None]
-            winding = pcu.triangle_soup_fast_winding_number(
-                np.asarray(self._mesh.vertices), np.asarray(self._mesh.faces, dtype=np.int32), path.reshape(-1, 3)
-            )
-            allowed[allowed] = (np.abs(winding).reshape(-1, len(steps)) < 0.5).all(axis=1)
+        if standoff > 0:
+            # From two cells away on, so that the blur of the surface itself does not count.
+            begin = min(2 * places.cell, 0.5 * standoff)
+            path = positions[:, None] + np.linspace(begin, standoff, 8)[:, None] * normals[:, None]
+            allowed &= (places.occupancy(path) < self.level).all(axis=1)
         return allowed
 
 
@@ -285,17 +280,42 @@ class _Process:
         self.gp.add(self.to_unit(points[len(self.gp) :]))
 
 
-class _ErrorField:
-    """The expected error of a surface at candidate places, and its covariance, kept up with the contacts."""
+class _Places:
+    """Candidates for a touch: where fingers would meet the surface, what error is expected there, and the covariance of
+    these errors, kept up with the contacts.
 
-    def __init__(self, mesh: trimesh.Trimesh, process: _Process, can_reach: Reachable) -> None:
+    Fingers set out from the surface where the occupancy is still low, which includes parts that the network only
+    suspects, and go on against its normal until the occupancy is that of a surface, or highest.
+    """
+
+    def __init__(
+        self, fit: Reconstruction, level: float, process: _Process, can_reach: Callable[[_Places], NDArray[np.bool_]]
+    ) -> None:
+        mesh, self.frame = fit.mesh, fit.mesh.metadata["frame"]
+        self.side, self.cell = FILL * self.frame.scale, 2 * self.frame.scale / (LATTICE - 1)
+        axis = np.linspace(-1, 1, LATTICE)
+        lattice = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+        self.volume = fit.field(self.frame.from_cube(lattice)).reshape(LATTICE, LATTICE, LATTICE)
+        possible = min(POSSIBLE, level)
+        # A lattice that misses thin parts altogether may nowhere reach the level; the mesh has them.
+        around = mesh
+        if self.volume.max() >= possible:
+            vertices, faces = ops.marching_cubes(torch.from_numpy(self.volume), possible)
+            around = trimesh.Trimesh(self.frame.from_cube(vertices.numpy()), faces.numpy(), process=False)
         # Even by area, so that a sum over candidates is an integral over the surface.
-        self.positions, face = sample_surface(mesh, CANDIDATES, generator=np.random.default_rng(0))
-        corners = np.asarray(mesh.faces)[face]
-        self.errors = np.asarray(mesh.vertex_attributes["expected_error"])[corners].mean(axis=1)
-        normals = mesh.face_normals[face]
+        begin, face = sample_surface(around, CANDIDATES, generator=np.random.default_rng(0))
+        normals = around.face_normals[face]
         self.normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-        self.reachable = can_reach(self.positions, self.normals)
+
+        depth = np.linspace(0, DEPTH * self.side, STEPS)
+        along = self.occupancy(begin[:, None] - depth[:, None] * self.normals[:, None])
+        met = along >= level
+        stop = np.where(met.any(axis=1), met.argmax(axis=1), along.argmax(axis=1))
+        self.positions = begin - depth[stop][:, None] * self.normals
+        self.chance = np.minimum(1.0, along.max(axis=1) / level)  # of meeting anything
+        distance, nearest = cKDTree(mesh.vertices).query(self.positions)
+        self.errors = mesh.vertex_attributes["expected_error"][nearest] + distance
+        self.reachable = can_reach(self)
         self.unit = np.ascontiguousarray(process.to_unit(self.positions))
         self.known = 0
         self.solved = np.empty((CANDIDATES // _LANES, 0, _LANES))  # L⁻¹ k(X, candidates), as gp_extend keeps it
@@ -307,6 +327,11 @@ class _ErrorField:
         self._follow(gp)
         # What the network expects is about what the contacts so far leave open.
         self.weights = self.errors**2 / np.maximum(self.covariance.diagonal(), NOISE**2)
+
+    def occupancy(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The network's occupancy (...) at points (...,3), between the vertices of the lattice; 0 outside of it."""
+        at = (self.frame.to_cube(points) + 1) * (0.5 * (LATTICE - 1))
+        return map_coordinates(self.volume, np.moveaxis(at, -1, 0), order=1, mode="constant")
 
     def _follow(self, gp: GaussianProcess) -> None:
         """Conditions the covariance on the contacts that are new."""
@@ -347,6 +372,7 @@ class _ErrorField:
         open_ = self.reachable.copy()
         for _ in range(min(k, int(open_.sum()))):
             removed = self.weights @ covariance**2 / (np.maximum(covariance.diagonal(), 0) + NOISE**2)
+            removed *= self.chance
             removed[~open_] = -np.inf
             best = int(removed.argmax())
             chosen.append(best)

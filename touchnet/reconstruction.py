@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -22,7 +22,6 @@ __all__ = ["reconstruct_field", "reconstruct_mesh", "thin"]
 
 Up = Literal["x", "y", "z"] | None
 Field = Callable[[Tensor], Tensor]
-Fitted = tuple[trimesh.Trimesh, np.ndarray]  # a mesh and the expected errors at its vertices
 
 # Rows of the rotation from the input's axes to those of the model's cube, which is y-up.
 _TO_Y_UP = {
@@ -31,6 +30,15 @@ _TO_Y_UP = {
     "z": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
     "x": np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
 }
+
+
+class Fitted(NamedTuple):
+    """What one cube gives: the mesh, the expected errors (V,) at its vertices, the occupancy in the cube."""
+
+    mesh: trimesh.Trimesh
+    error: np.ndarray
+    field: Field
+
 
 MIN_DISTINCT = 4  # fewer points bound no solid
 MAX_TOUCHES = 8192  # four times what models are trained with; more contacts are thinned
@@ -90,6 +98,41 @@ def reconstruct_mesh(
     Warns:
         UserWarning: outliers left out, contacts in a plane, a surface that meets the cube or is far from the contacts.
     """
+    return reconstruct_with_field(
+        points,
+        normals=normals,
+        up=up,
+        weights=weights,
+        resolution=resolution,
+        device=device,
+        level=level,
+        keep_cavities=keep_cavities,
+        max_touches=max_touches,
+        tolerance=tolerance,
+    ).mesh
+
+
+class Reconstruction(NamedTuple):
+    """A mesh as `reconstruct_mesh` returns it, and the field it is a level of."""
+
+    mesh: trimesh.Trimesh
+    field: Callable[[np.ndarray], np.ndarray]  # points (M,3) of the object to occupancy (M,) float64
+
+
+def reconstruct_with_field(
+    points: np.ndarray,
+    *,
+    normals: np.ndarray | None,
+    up: Up,
+    weights: str | os.PathLike[str] | nn.Module,
+    resolution: int,
+    device: str | torch.device,
+    level: float,
+    keep_cavities: bool = False,
+    max_touches: int = MAX_TOUCHES,
+    tolerance: float | None = None,
+) -> Reconstruction:
+    """`reconstruct_mesh` for callers that have more questions to the field."""
     points, directions = check_contacts(points, normals)
     if up not in _TO_Y_UP:
         raise ValueError(f'up should be "x", "y", "z" or None, got {up!r}')
@@ -103,7 +146,7 @@ def reconstruct_mesh(
         warnings.warn(
             f"{int(outliers.sum())} of {len(points)} contacts lie far from all others and are left out "
             f"(the first: contact {first + 1} at {shown})",
-            stacklevel=2,
+            stacklevel=3,
         )
         points = points[~outliers]
         directions = None if directions is None else directions[~outliers]
@@ -117,7 +160,7 @@ def reconstruct_mesh(
     model = ready_model(weights, device)
     turned = None if directions is None else directions @ _TO_Y_UP[up].T
 
-    def mesh_in(frame: Frame) -> tuple[trimesh.Trimesh, np.ndarray]:
+    def fit(frame: Frame) -> Fitted:
         touches = frame.to_cube(points) @ _TO_Y_UP[up].T
         with torch.inference_mode():
             features = model.encode(_batch(touches, device), None if turned is None else _batch(turned, device))
@@ -140,18 +183,20 @@ def reconstruct_mesh(
         vertices, normals = (
             rows @ _TO_Y_UP[up].T for rows in (frame.to_cube(mesh.vertices), vertex_normals(mesh.vertices, mesh.faces))
         )
-        return mesh, frame.scale * expected_error(field, vertices, normals, touches, level=level, device=device)
+        error = frame.scale * expected_error(field, vertices, normals, touches, level=level, device=device)
+        return Fitted(mesh, error, field)
 
-    (mesh, error), refitted = mesh_in(frame), False
-    if mesh.metadata["meets_border"]:
-        (mesh, error), refitted = _refit((mesh, error), mesh_in, frame.enlarged(REFIT))
+    fitted, refitted = fit(frame), False
+    if fitted.mesh.metadata["meets_border"]:
+        fitted, refitted = _refit(fitted, fit, frame.enlarged(REFIT))
+    mesh, error, field = fitted
     distance = float(np.median(cKDTree(mesh.vertices).query(points)[0]))
     longest = float(np.ptp(points, axis=0).max())
     if distance > FAR * longest:
         warnings.warn(
             f"half of the contacts lie more than {distance:.3g} from the surface, {distance / longest:.0%} of their "
             "longest side: these contacts do not look like the surface of an object that the model knows",
-            stacklevel=2,
+            stacklevel=3,
         )
     tolerance = TOLERANCE * longest if tolerance is None else float(tolerance)
     mesh.vertex_attributes["expected_error"] = error.astype(np.float32)
@@ -159,7 +204,12 @@ def reconstruct_mesh(
     mesh.metadata.update(
         contacts=len(points), outliers=int(outliers.sum()), refitted=refitted, distance=distance, tolerance=tolerance
     )
-    return mesh
+    cube = mesh.metadata["frame"]
+
+    def of_object(queries: np.ndarray) -> np.ndarray:
+        return field(_batch(cube.to_cube(queries) @ _TO_Y_UP[up].T, device)[0]).double().cpu().numpy()
+
+    return Reconstruction(mesh, of_object)
 
 
 def reconstruct_field(
@@ -324,7 +374,7 @@ def _check_spread(points: np.ndarray) -> None:
     if spread[1] < FLAT * spread[0]:
         raise ValueError(f"expected contacts around a solid, got {len(distinct)} distinct contacts on one line")
     if spread[2] < FLAT * spread[0]:
-        warnings.warn("all contacts lie in one plane: the depth of the object is a guess", stacklevel=3)
+        warnings.warn("all contacts lie in one plane: the depth of the object is a guess", stacklevel=4)
 
 
 def ready_model(weights: str | os.PathLike[str] | nn.Module, device: torch.device) -> nn.Module:
@@ -341,14 +391,15 @@ def _batch(rows: np.ndarray, device: torch.device) -> Tensor:
 
 
 def _refit(fitted: Fitted, fit: Callable[[Frame], Fitted], frame: Frame) -> tuple[Fitted, bool]:
-    """The mesh (and its errors) in a larger cube, or the given one where there is none; and which of them it is."""
+    """What a larger cube gives, or what is given where there is nothing; and which of them it is."""
     try:
         again = fit(frame)
     except ValueError as error:
-        warnings.warn(f"the surface is cut off at the cube; in a larger cube: {error}", stacklevel=3)
+        warnings.warn(f"the surface is cut off at the cube; in a larger cube: {error}", stacklevel=4)
         return fitted, False
-    still = "; it meets the larger cube too and is cut off flat there" if again[0].metadata["meets_border"] else ""
+    meets = again.mesh.metadata["meets_border"]
+    still = "; it meets the larger cube too and is cut off flat there" if meets else ""
     warnings.warn(
-        f"the surface met the faces of the cube and was fitted again in one {REFIT} times as large{still}", stacklevel=3
+        f"the surface met the faces of the cube and was fitted again in one {REFIT} times as large{still}", stacklevel=4
     )
     return again, True
