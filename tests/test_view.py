@@ -362,7 +362,7 @@ def test_the_page_suggests_what_the_explorer_does(here, ball, capsys, monkeypatc
         page.wait_for(READY)
         page.check()
         found = np.array([row.split(",") for row in page.evaluate("csv()").splitlines()[1:]], dtype=float)
-        np.testing.assert_allclose(found, np.column_stack(expected), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(found, np.column_stack(expected[:4]), rtol=1e-9, atol=1e-9)
         assert not page.evaluate("$('confidence-row').hidden")
         assert page.evaluate("page.step.tolerance") == pytest.approx(0.01 * np.ptp(contacts.points, axis=0).max())
     monkeypatch.setattr("touchnet.view.MOST_EXPLORED", 100)

@@ -180,7 +180,8 @@ def _step_maker(contacts: Points, suggestions: int, options: Options) -> Callabl
                     notes.append(f"no suggestions from more than {MOST_EXPLORED} contacts")
                 elif suggestions:
                     found = explorer.next(suggestions)
-                    places = [Suggestion(*row) for row in zip(*found, strict=True)]
+                    columns = (found.positions, found.directions, found.gains, found.expected_errors)
+                    places = [Suggestion(*row) for row in zip(*columns, strict=True)]
             except ValueError as error:
                 notes.append(cli.one_line(error))
         notes = [cli.one_line(w.message) for w in said if issubclass(w.category, UserWarning)] + notes

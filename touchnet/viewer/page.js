@@ -515,7 +515,7 @@ function csv() {
     const { position, direction, gain, expected_error: off } = suggestion;
     return [...position, ...direction, gain, off].map((c) => Number(c.toPrecision(10))).join(",");
   });
-  return ["x,y,z,dx,dy,dz,gain,expected_error", ...rows, ""].join("\n"); // as `touchnet explore` writes them
+  return ["x,y,z,dx,dy,dz,gain,expected_error", ...rows, ""].join("\n"); // named as by `touchnet explore`
 }
 
 function listen() {

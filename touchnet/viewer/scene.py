@@ -24,7 +24,7 @@ FEWEST = 16  # contacts that a mesh is first made from
 
 @dataclass(frozen=True)
 class Suggestion:
-    """A place to touch next; as one row of `touchnet.explorer.Suggestions`.
+    """A place to touch next, as `touchnet.explorer.Suggestions` have many.
 
     Attributes:
         position: (3,) where the finger should meet the surface.
