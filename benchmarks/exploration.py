@@ -77,9 +77,9 @@ def gaussian_process() -> Iterator[Case]:
             lower[n, :n] = row
             lower[n, n] = np.sqrt(1 + NOISE**2 - row @ row)
 
-    # both substitutions read the factor once per contact: n³/3 numbers in all
+    # every contact reads the factor once: n³/6 numbers in all
     factor = np.ones(len(points) * (len(points) + 1) // 2)
-    reads = len(points) ** 3 / 3 / len(factor)
+    reads = len(points) ** 3 / 6 / len(factor)
 
     def read() -> None:
         for _ in range(int(reads)):

@@ -108,6 +108,33 @@ def test_a_joblib_backend_may_take_over(made, tmp_path):
     assert digests(tmp_path) == digests(made)
 
 
+def noted_box(folder, size, drop):
+    """The box, and a file that names the process it was made in."""
+    (folder / str(os.getpid())).touch()
+    return box(size, drop=drop)
+
+
+@pytest.mark.slow
+def test_dask_gives_the_same_bytes(made, tmp_path):
+    distributed = pytest.importorskip("distributed", reason="needs dask and distributed (touchnet[dev])")
+    notes = tmp_path / "processes"
+    notes.mkdir()
+    sources = [
+        one._replace(load=functools.partial(noted_box, notes, *one.load.args, **one.load.keywords)) for one in SOURCES
+    ]
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster) as client,
+        joblib.parallel_config(backend="dask"),
+    ):
+        client.upload_file(__file__)  # the workers import `noted_box` from here
+        workers = {str(pid) for pid in client.run(os.getpid).values()}
+        build(sources, tmp_path / "set", SMALL, progress=False)
+    seen = {path.name for path in notes.iterdir()}
+    assert seen and seen <= workers and str(os.getpid()) not in seen
+    assert digests(tmp_path / "set") == digests(made)
+
+
 def test_another_seed_gives_other_samples_of_the_same_mesh(made, tmp_path):
     build(SOURCES[:1], tmp_path, SMALL, seed=1, progress=False)
     ours, theirs = TouchDataset(tmp_path).shape(0), TouchDataset(made, "train", categories=["box"]).shape(0)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from touchnet.data import watertight
 from touchnet.data.watertight import inspect_mesh, make_watertight, signed_volume, winding_number
 
 
@@ -195,14 +196,19 @@ def test_alpha_wrap_says_what_to_install(monkeypatch):
         make_watertight(trimesh.creation.box(), method="alpha_wrap")
 
 
-def test_alpha_wrap_closes_a_box_without_a_side():
+@pytest.mark.slow
+def test_alpha_wrap_tries_a_larger_alpha_where_the_result_is_hollow(monkeypatch):
     pytest.importorskip("pymeshlab", reason="extra [data]")
     sphere = trimesh.creation.icosphere(3)
-    cut = without_faces(sphere, sphere.triangles_center[:, 1] > 0.98)
-    closed = make_watertight(cut, method="alpha_wrap")
+    pierced = without_faces(sphere, np.arange(len(sphere.faces)) == 0)  # the hole is 7 % of the diameter wide
+    closed = make_watertight(pierced, method="alpha_wrap")
+    assert closed.metadata["closed_by"] == "alpha wrap 0.03" and closed.metadata["hollow"] == 0
     assert inspect_mesh(closed).closed
-    assert closed.metadata["closed_by"].startswith("alpha wrap")
-    assert closed.volume == pytest.approx(sphere.volume, rel=0.1)
+    assert closed.volume == pytest.approx(sphere.volume, rel=0.03)
+    monkeypatch.setattr(watertight, "HOLLOW_SHARE", 1.0)
+    first = make_watertight(pierced, method="alpha_wrap")
+    assert first.metadata["closed_by"] == "alpha wrap 0.01" and first.metadata["hollow"] > 0.9
+    assert first.volume < 0.1 * sphere.volume
 
 
 def test_signed_volume_far_from_the_origin():

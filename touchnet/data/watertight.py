@@ -58,7 +58,8 @@ def make_watertight(
         manifold: Huang, Su, Guibas, "Robust watertight manifold surface generation", 2018: an octree around the
             triangles, its outer boundary, then vertices pulled towards the triangles up to `offset`.
         closing: what a ball of radius 4 % rolling around the triangles cannot reach.
-        alpha_wrap: CGAL's alpha wrap (alpha 1 %, again with 3 and 8 % when hollow) through pymeshlab (extra `[data]`).
+        alpha_wrap: CGAL's alpha wrap (alpha 1 % of the box's diagonal, again with 3 and 8 % when hollow) through
+            pymeshlab (extra `[data]`).
 
     Args:
         resolution: of `manifold`, about the number of leaves of the octree.
