@@ -395,7 +395,7 @@ function reset() {
   // The panel covers the left of a wide window, the bar the bottom.
   const wide = clientWidth > 640;
   const free = [(clientWidth - (wide ? 310 : 0)) / clientHeight, (clientHeight - 90) / clientHeight];
-  const distance = radius / Math.sin(FIELD / 2) / Math.min(free[0], free[1], 1);
+  const distance = (1.06 * radius) / Math.sin(FIELD / 2) / Math.min(free[0], free[1], 1);
   const target = scaled(add(box[0], box[1]), 0.5);
   page.camera = { ...HOME, distance, target };
   const { right, above } = cameraFrame();
