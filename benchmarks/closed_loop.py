@@ -7,7 +7,7 @@ from the contacts so far and compared with the truth. docs/where_to_touch.md say
 import argparse
 import json
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,9 +23,10 @@ from touchnet.metrics import sample_surface, volumetric_iou
 from touchnet.weights import load_model
 
 START = 8  # touches at random points, before there is a surface to reason about
-COUNTS = (8, 16, 24, 32, 48, 64, 96, 128, 192, 256)
-RESOLUTION = 96
+COUNTS = (16, 32, 64, 128, 256)
+RESOLUTION = 64
 LINES = 1 << 14
+MOST_TRIES = 5  # pokes for each contact, after which a method has to do with what it has
 REACH = 0.3  # how far beyond the place suggested the finger goes on, as a share of the longest side
 
 
@@ -42,23 +43,49 @@ class Truth:
         self.corners = np.asarray(mesh.vertices, dtype=np.float64)[mesh.faces]  # (F, 3, 3)
         self.side = float(np.ptp(mesh.vertices, axis=0).max())
 
-    def random(self, count: int, seed: int) -> Contacts:
-        """Touches spread at random, evenly by area, in random order: as if every place could be aimed at blindly."""
+    def scattered(self, count: int, seed: int) -> Contacts:
+        """Contacts at random points of the surface, evenly by area: more than a finger that cannot see could do."""
         rng = np.random.default_rng(seed)
         points, face = sample_surface(self.mesh, 4 * count, generator=rng)
         rows = rng.permutation(4 * count)[:count]
         return Contacts(points[rows], self.mesh.face_normals[face[rows]])
 
-    def poke(self, position: NDArray[np.float64], direction: NDArray[np.float64], path: float) -> Contacts:
-        """Where a finger that starts `path` before a position and comes along a direction meets the surface: 1 or 0."""
+    def random(self, count: int, seed: int) -> tuple[Contacts, NDArray[np.int64]]:
+        """Contacts of a finger that aims from a random side at a random point of the object's box, and goes straight.
+
+        With them the number of pokes (count,) it took up to each: some meet nothing.
+        """
+        rng = np.random.default_rng(seed)
+        low, high = self.mesh.bounds
+        made: list[Contacts] = []
+        tries = []
+        attempt = 0
+        while len(made) < count:
+            attempt += 1
+            aim, direction = rng.uniform(low, high), rng.normal(size=3)
+            direction /= np.linalg.norm(direction)
+            contact = self.poke(aim, direction, 2 * self.side, beyond=2 * self.side)
+            if len(contact.points):
+                made.append(contact)
+                tries.append(attempt)
+        return Contacts(*(np.concatenate(rows) for rows in zip(*made, strict=True))), np.array(tries)
+
+    def poke(
+        self, position: NDArray[np.float64], direction: NDArray[np.float64], path: float, beyond: float | None = None
+    ) -> Contacts:
+        """Where a finger that sets out `path` before a position and comes along a direction meets the surface: 1 or 0.
+
+        0 where there is nothing up to `beyond` (REACH of the longest side) behind the position, and where the finger
+        would have to set out from inside the object.
+        """
         origin = position - path * direction
         depth, face = self.first_hit(origin, direction)
-        if depth > path + REACH * self.side:
+        if depth > path + (REACH * self.side if beyond is None else beyond):
             return Contacts(np.empty((0, 3)), np.empty((0, 3)))
         return Contacts((origin + depth * direction)[None], self.mesh.face_normals[face][None])
 
     def first_hit(self, origin: NDArray[np.float64], direction: NDArray[np.float64]) -> tuple[float, int]:
-        """Depth along a ray of the first face it meets from outside, and the face; infinity where it meets none."""
+        """Depth along a ray of the first face, if it is met from outside, otherwise infinity; and the face."""
         a, b, c = self.corners.transpose(1, 0, 2)
         e, f = b - a, c - a
         p = np.cross(direction, f)
@@ -69,40 +96,50 @@ class Truth:
             q = np.cross(t, e)
             v = (q @ direction) / determinant
             depth = (f * q).sum(1) / determinant
-            # The determinant is positive where the ray enters.
-            hit = (determinant > 0) & (u >= 0) & (v >= 0) & (u + v <= 1) & (depth >= 0)
+            hit = (determinant != 0) & (u >= 0) & (v >= 0) & (u + v <= 1) & (depth >= 0)
         depth = np.where(hit, depth, np.inf)
         face = int(depth.argmin())
-        return float(depth[face]), face
+        entering = determinant[face] > 0
+        return float(depth[face]) if entering else np.inf, face
 
 
-def advised(truth: Truth, explorer: Explorer, counts: tuple[int, ...], seed: int) -> Iterator[Contacts]:
-    """Touches where the explorer says, one that meets nothing counted too; yields the contacts at each count."""
-    explorer.add(*truth.random(START, seed))
-    spent = START
-    for count in counts:
-        while spent < count:
-            batch = min(count - spent, max(START, spent // 4))
-            spent += batch
-            positions, directions, _, _ = explorer.next(batch, refit=True)
-            pokes = [truth.poke(p, d, 0.05 * truth.side) for p, d in zip(positions, directions, strict=True)]
-            for place, contact in zip(positions, pokes, strict=True):
+class Stage(NamedTuple):
+    """What a method has after so many contacts."""
+
+    contacts: Contacts
+    tries: int  # pokes, those that met nothing included
+
+
+def advised(truth: Truth, explorer: Explorer, seed: int) -> Iterator[Stage]:
+    """Pokes where the explorer says, after a few at random; stages as COUNTS."""
+    begin, tries = truth.random(START, seed)
+    explorer.add(*begin)
+    spent = int(tries[-1])
+    for count in COUNTS:
+        while len(explorer) < count and spent < MOST_TRIES * count:
+            batch = min(count - len(explorer), max(START, len(explorer) // 4))
+            suggested = explorer.next(batch)
+            paths = zip(suggested.positions, suggested.directions, suggested.clearances, strict=True)
+            for place, contact in zip(suggested.positions, [truth.poke(*path) for path in paths], strict=True):
+                spent += 1
                 if len(contact.points):
                     explorer.add(*contact)
                 else:
                     explorer.add_misses(place)
-        yield Contacts(explorer.points, explorer.normals)
+        yield Stage(Contacts(explorer.points, explorer.normals), spent)
 
 
-def runs(truth: Truth, methods: dict[str, Callable[[], Explorer]], seed: int) -> dict[str, Iterator[Contacts]]:
-    uniform = truth.random(COUNTS[-1], seed)
+def runs(truth: Truth, model: object, seed: int) -> dict[str, Iterator[Stage]]:
+    poked, tries = truth.random(COUNTS[-1], seed)
+    scattered = truth.scattered(COUNTS[-1], seed)
     paper = simulate_touches(truth.mesh, COUNTS[-1], seed=seed)
-    planned = (simulate_touches(truth.mesh, count, seed=seed) for count in COUNTS)
+    planned = ((n, simulate_touches(truth.mesh, n, seed=seed)) for n in COUNTS)
     return {
-        **{name: advised(truth, make(), COUNTS, seed) for name, make in methods.items()},
-        "random": (Contacts(uniform.points[:n], uniform.normals[:n]) for n in COUNTS),
-        "exploration": (Contacts(paper.points[:n], paper.normals[:n]) for n in COUNTS),
-        "exploration, planned": (Contacts(t.points, t.normals) for t in planned),
+        "advice": advised(truth, Explorer(weights=model, resolution=64), seed),
+        "random pokes": (Stage(Contacts(poked.points[:n], poked.normals[:n]), int(tries[n - 1])) for n in COUNTS),
+        "exploration": (Stage(Contacts(paper.points[:n], paper.normals[:n]), n) for n in COUNTS),
+        "exploration, planned": (Stage(Contacts(t.points, t.normals), n) for n, t in planned),
+        "scattered": (Stage(Contacts(scattered.points[:n], scattered.normals[:n]), n) for n in COUNTS),
     }
 
 
@@ -118,17 +155,17 @@ def chosen(data: TouchDataset, count: int) -> list[int]:
     return taken[:count]
 
 
-def measure(truth: Truth, methods: dict[str, Callable[[], Explorer]], model: object, seed: int) -> list[dict]:
+def measure(truth: Truth, model: object, seed: int) -> list[dict]:
     """One record for each method and count: IoU of the reconstruction from the contacts so far."""
     records = []
-    for method, contacts in runs(truth, methods, seed).items():
-        for count, (points, normals) in zip(COUNTS, contacts, strict=True):
+    for method, stages in runs(truth, model, seed).items():
+        for count, ((points, normals), tries) in zip(COUNTS, stages, strict=True):
             try:
                 mesh = touchnet.reconstruct_mesh(points, normals=normals, weights=model, resolution=RESOLUTION)
                 iou = volumetric_iou(mesh, truth.mesh, lines=LINES)
             except ValueError:  # contacts that bound no solid, or no surface
                 iou = 0.0
-            records.append({"method": method, "touches": count, "contacts": len(points), "iou": iou})
+            records.append({"method": method, "contacts": count, "made": len(points), "tries": tries, "iou": iou})
     return records
 
 
@@ -144,7 +181,6 @@ def main() -> None:
     warnings.simplefilter("ignore", UserWarning)
     touchnet.tune_allocator()
     model = load_model()
-    methods = {"advice": lambda: Explorer(weights=model, resolution=64)}
     data = TouchDataset(arguments.data, split=arguments.split)
     arguments.records.touch()
     done = {json.loads(line)["shape"] for line in arguments.records.read_text().splitlines()}
@@ -152,7 +188,7 @@ def main() -> None:
         shape = data.records[i].id
         if shape in done:
             continue
-        records = measure(Truth(data.shape(i).mesh()), methods, model, arguments.seed)
+        records = measure(Truth(data.shape(i).mesh()), model, arguments.seed)
         with arguments.records.open("a") as file:
             file.writelines(json.dumps({"shape": shape, **record}) + "\n" for record in records)
         print(shape, flush=True)

@@ -144,9 +144,8 @@ def report(measured: Measured, calibration: Calibration, figure: Path | None) ->
     confidence = within(expected, TOLERANCE, calibration=calibration)
     print(f"{measured.group.max() + 1} reconstructions, {len(expected)} vertices")
     for name, values in (("expected error", expected), ("distance to the nearest contact", measured.distance)):
-        print(
-            f"Spearman, {name}: {ranks(measured, values)[0]:.3f} within a reconstruction, {ranks(measured, values)[1]:.3f} over all"
-        )
+        within_each, over_all = ranks(measured, values)
+        print(f"Spearman, {name}: {within_each:.3f} within a reconstruction, {over_all:.3f} over all")
     print("\nexpected error, %   found, %     confidence   found within 1 %")
     tables = []
     for values, found in ((expected, measured.error), (confidence, (measured.error <= TOLERANCE).astype(float))):

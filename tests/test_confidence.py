@@ -36,6 +36,10 @@ def test_far_from_all_contacts_is_less_sure():
     assert error[far].min() > error[near].max()
 
 
+def test_a_surface_that_passes_by_its_contacts_is_less_sure():
+    assert (error_of(blurred(0.05), 1.1 * POINTS) > 1.5 * error_of(blurred(0.05))).all()
+
+
 def test_another_level_is_not_another_error():
     assert error_of(blurred(0.05, level=0.3), level=0.3) == pytest.approx(error_of(blurred(0.05)), rel=1e-3)
 
@@ -106,7 +110,7 @@ def test_what_nobody_touched_is_the_least_sure(up):
     points = points[points[:, "xyz".index(up)] < 0.5]
     mesh = reconstruct_mesh(points, weights=Ball(), resolution=32, up=up)
     distance = cKDTree(points).query(mesh.vertices)[0]
-    assert spearmanr(mesh.vertex_attributes["expected_error"], distance)[0] > 0.9
+    assert spearmanr(mesh.vertex_attributes["expected_error"], distance)[0] > 0.8
 
 
 def test_ply_keeps_it_and_other_formats_lack_it(tmp_path):

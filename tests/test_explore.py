@@ -41,7 +41,7 @@ def test_table_csv_and_json_say_what_the_session_says(here, ball, capsys):
     assert err == ""
     first, head, *rows = out.splitlines()
     assert first.startswith(f"ball.xyz: {len(most())} contacts; the surface is expected ")
-    assert head.split() == ["position", "direction", "gain", "may", "be", "off"]
+    assert head.split() == ["position", "direction", "gain", "may", "be", "off", "free", "path"]
     assert len(rows) == 3
     assert [float(x) for x in rows[0].split()[:3]] == pytest.approx(expected.positions[0], abs=1e-5)
 

@@ -191,6 +191,16 @@ def test_a_straight_path_of_the_standoff_is_free():
     assert walls(blocked).sum() == 0
 
 
+def test_the_clearance_is_the_free_path_before_a_contact():
+    suggested = explorer(most(), weights=Bowl(), standoff=0.0).next(100)
+    assert suggested.clearances.max() == pytest.approx(2)  # the longest side
+    walls = (np.linalg.norm(suggested.positions[:, [0, 2]], axis=1) < 0.3) & (np.abs(suggested.positions[:, 1]) < 0.3)
+    assert 0 < suggested.clearances[walls].min()
+    assert suggested.clearances[walls].max() < 0.5
+    outside = np.linalg.norm(suggested.positions, axis=1) > 0.97
+    assert suggested.clearances[outside & (suggested.positions[:, 1] < 0)].min() == pytest.approx(2)
+
+
 def test_nothing_reachable():
     with pytest.raises(ValueError, match="no place on the surface is reachable"):
         explorer(most(), reachable=lambda p, d: np.zeros(len(p), dtype=bool)).next()

@@ -1,9 +1,9 @@
 """How far a reconstructed surface may lie from the true one, vertex by vertex.
 
 The network's occupancy changes from 1 to 0 within a band around the surface: narrow where it is sure, wide where it
-guesses. The width of that band and the distance to the nearest contact give an expected error by a formula of a few
-constants, fitted to shapes that neither training nor the reported figures have seen (`python -m benchmarks.confidence`;
-docs/where_to_touch.md shows how well it holds).
+guesses. The width of that band, the distance to the nearest contact, and how far the surface passes by that contact
+give an expected error by a formula of a few constants, fitted to shapes that neither training nor the reported figures
+have seen (`python -m benchmarks.confidence`; docs/where_to_touch.md shows how well it holds).
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ from touchnet.frames import FILL
 __all__ = ["Calibration", "expected_error", "features", "vertex_normals", "within"]
 
 TOLERANCE = 0.01  # share of the longest side of the contacts that "confidence" is about, unless told otherwise
-STEPS = (0.01, 0.04)  # distances from the surface, in the cube, at which the occupancy is asked for
+INNER, OUTER = 0.01, 0.04  # how deep below and how high above the surface, in the cube, the occupancy is asked for
+STEEP = 0.5  # least slope of the logit, per unit of the cube, that is told from none
+NEAR, OFF = 0.005, 0.002  # shares of the longest side below which distance from and offset to a contact say no more
 SURE = 1e-6  # an occupancy nearer to 0 or 1 than this says no more
 CHUNK = 1 << 17  # vertices at a time
 
@@ -35,7 +37,7 @@ class Calibration(NamedTuple):
     shape: float
 
 
-DEFAULT = Calibration((-1.0, 0.5, 0.5, 0.5), 0.8)
+DEFAULT = Calibration((-0.344, 0.263, 0.253, 0.339, 0.299), 1.19)
 
 
 def expected_error(
@@ -61,9 +63,8 @@ def expected_error(
     Returns:
         (V,) float64, in the cube's unit, above 0.
     """
-    side = FILL  # of the box of the contacts, in the cube
     rows = features(field, vertices, normals, contacts, level=level, device=device)
-    return side * np.exp(rows @ np.array(calibration.coefficients))
+    return FILL * np.exp(rows @ np.array(calibration.coefficients))
 
 
 def features(
@@ -75,16 +76,27 @@ def features(
     level: float = 0.5,
     device: str | torch.device = "cpu",
 ) -> NDArray[np.float64]:
-    """What the expectation is made of, (V,4): 1, and three logarithms that grow with the error."""
-    vertices, normals = (np.asarray(rows, dtype=np.float64) for rows in (vertices, normals))
+    """What the expectation is made of, (V,5): 1, and logarithms of lengths with which the error grows.
+
+    The widths of the band in which the occupancy falls, inside and outside of the vertex; the distance to the nearest
+    contact; and how far the surface, taken as flat there, passes by that contact.
+    """
+    vertices, normals, contacts = (np.asarray(rows, dtype=np.float64) for rows in (vertices, normals, contacts))
     shift = math.log(level / (1 - level))
-    columns = [np.ones(len(vertices))]
-    for step in STEPS:
-        inner, outer = (_logits(field, vertices + way * step * normals, device) - shift for way in (-1, 1))
-        columns.append(-np.log(np.maximum((inner - outer) / (2 * step), 1.0)))
-    distance = cKDTree(np.asarray(contacts, dtype=np.float64)).query(vertices, workers=-1)[0] / FILL
-    columns.append(np.log(distance + 0.005))
-    return np.stack(columns, axis=1)
+    inner = (_logits(field, vertices - INNER * normals, device) - shift) / INNER
+    outer = (shift - _logits(field, vertices + OUTER * normals, device)) / OUTER
+    distance, nearest = cKDTree(contacts).query(vertices, workers=-1)
+    offset = np.abs(((contacts[nearest] - vertices) * normals).sum(axis=1))
+    return np.stack(
+        [
+            np.ones(len(vertices)),
+            -np.log(np.maximum(inner, STEEP)),
+            -np.log(np.maximum(outer, STEEP)),
+            np.log(distance / FILL + NEAR),
+            np.log(offset / FILL + OFF),
+        ],
+        axis=1,
+    )
 
 
 def within(expected: ArrayLike, tolerance: float, *, calibration: Calibration = DEFAULT) -> NDArray[np.float64]:

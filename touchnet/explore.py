@@ -13,7 +13,7 @@ import tyro
 from touchnet import cli, outputs
 
 PROG = "touchnet explore"
-COLUMNS = ("x", "y", "z", "dx", "dy", "dz", "gain", "expected_error")
+COLUMNS = ("x", "y", "z", "dx", "dy", "dz", "gain", "expected_error", "clearance")
 
 
 @dataclass(frozen=True)
@@ -21,9 +21,9 @@ class Options:
     """The places on an object whose touches would tell most about its shape, given the contacts so far.
 
     Prints for each place its position, the direction along which the finger should come (from outside, against the
-    outward normal), the share of the expected squared error of the surface that the touch is expected to remove, and
-    how far the surface may lie from the position; all in the frame and unit of the input. The places are meant to be
-    touched in this order, or all before asking again.
+    outward normal), the share of the expected squared error of the surface that the touch is expected to remove, how
+    far the surface may lie from the position, and how far back the path is free of the object as far as known; all in
+    the frame and unit of the input. The places are meant to be touched in this order, or all before asking again.
     """
 
     touches: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TOUCHES")]
@@ -111,8 +111,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                 "direction": direction.tolist(),
                 "gain": float(gain),
                 "expected_error": float(error),
+                "clearance": float(clearance),
             }
-            for position, direction, gain, error in zip(*suggestions, strict=True)
+            for position, direction, gain, error, clearance in zip(*suggestions, strict=True)
         ],
     }
     text = json.dumps(report, indent=2) + "\n" if options.json else _csv(rows)
@@ -135,12 +136,12 @@ def _table(report: dict[str, Any], rows: np.ndarray) -> str:
         f"{report['touches']}: {report['contacts']} contacts{' with normals' if report['normals'] else ''}; the "
         f"surface is expected {report['expected_error']:.3g} off on average, {report['confidence']:.0%} of it within "
         f"{report['tolerance']:.3g}",
-        f"{'position':^36}{'direction':^24}{'gain':>7}{'may be off':>12}",
+        f"{'position':^36}{'direction':^24}{'gain':>7}{'may be off':>12}{'free path':>12}",
     ]
     lines += [
         "".join(f"{x:>12.6g}" for x in row[:3])
         + "".join(f"{x:>8.3f}" for x in row[3:6])
-        + f"{row[6]:>7.1%}{row[7]:>12.3g}"
+        + f"{row[6]:>7.1%}{row[7]:>12.3g}{row[8]:>12.3g}"
         for row in rows
     ]
     return "\n".join(lines)

@@ -49,12 +49,15 @@ class Suggestions(NamedTuple):
         gains: (k,) in 0..1, the share of the expected squared error of the whole surface that this touch is expected to
             remove, after those before it.
         expected_errors: (k,) how far the surface may lie from the position, as in the mesh's "expected_error".
+        clearances: (k,) how far back from the position, against the direction, the path is free of the object as it is
+            known; at most the longest side of the contacts. Fingers had best set out there: the object may be larger.
     """
 
     positions: NDArray[np.float64]
     directions: NDArray[np.float64]
     gains: NDArray[np.float64]
     expected_errors: NDArray[np.float64]
+    clearances: NDArray[np.float64]
 
 
 class Explorer:
@@ -87,7 +90,7 @@ class Explorer:
 
     Example:
         >>> explorer = touchnet.Explorer(points, up="z", floor=0.0)
-        >>> positions, directions, gains, _ = explorer.next(4)
+        >>> positions, directions, *_ = explorer.next(4)
         >>> explorer.add(contacts_made_there)
         >>> mesh = explorer.mesh()
     """
@@ -257,12 +260,7 @@ class Explorer:
                     f"reachable should return {len(positions)} bools, got {said.dtype} of shape {said.shape}"
                 )
             allowed &= said
-        if standoff > 0:
-            # From two cells away on, so that the blur of the surface itself does not count.
-            begin = min(2 * places.cell, 0.5 * standoff)
-            path = positions[:, None] + np.linspace(begin, standoff, 8)[:, None] * normals[:, None]
-            allowed &= (places.occupancy(path) < self.level).all(axis=1)
-        return allowed
+        return allowed & (places.clearances >= standoff)
 
 
 class _Process:
@@ -313,6 +311,11 @@ class _Places:
         stop = np.where(met.any(axis=1), met.argmax(axis=1), along.argmax(axis=1))
         self.positions = begin - depth[stop][:, None] * self.normals
         self.chance = np.minimum(1.0, along.max(axis=1) / level)  # of meeting anything
+        # From two cells away on, so that the blur of the surface itself does not count.
+        back = np.linspace(2 * self.cell, self.side, 2 * STEPS)
+        blocked = self.occupancy(self.positions[:, None] + back[:, None] * self.normals[:, None]) >= level
+        blocked = np.concatenate([blocked, np.ones((CANDIDATES, 1), dtype=bool)], axis=1)
+        self.clearances = np.concatenate([[0.0], back])[blocked.argmax(axis=1)]
         distance, nearest = cKDTree(mesh.vertices).query(self.positions)
         self.errors = mesh.vertex_attributes["expected_error"][nearest] + distance
         self.reachable = can_reach(self)
@@ -380,7 +383,13 @@ class _Places:
             open_[best] = False
             row = covariance[best] / np.sqrt(max(covariance[best, best], 0) + NOISE**2)
             covariance -= row[:, None] * row
-        return Suggestions(self.positions[chosen], -self.normals[chosen], np.clip(gains, 0, 1), self.errors[chosen])
+        return Suggestions(
+            self.positions[chosen],
+            -self.normals[chosen],
+            np.clip(gains, 0, 1),
+            self.errors[chosen],
+            self.clearances[chosen],
+        )
 
 
 def _direction(vector: ArrayLike) -> NDArray[np.float64]:
