@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import queue
 import subprocess
 import sys
 import threading
@@ -486,6 +487,32 @@ def test_the_server_answers_this_machine_and_nothing_else():
         assert made == [77]
 
 
+def test_closing_waits_for_the_step_at_work_and_starts_no_other():
+    made, go_on, asked = [], threading.Event(), queue.Queue()
+
+    def make_step(count):
+        assert go_on.wait(20)
+        made.append(count)
+        return Step(count, None)
+
+    with served(small_scene(live=True), make_step) as server:
+        step = server.step
+        server.step = lambda count: (asked.put(count), step(count))[1]
+        asking = [threading.Thread(target=answer, args=[f"{server.address}step?count={n}"]) for n in (5, 6)]
+        for thread, count in zip(asking, (5, 6), strict=True):
+            thread.start()
+            assert asked.get(timeout=20) == count
+        closing = threading.Thread(target=server.server_close)
+        closing.start()
+        closing.join(0.2)
+        assert closing.is_alive()
+        go_on.set()
+        for thread in (closing, *asking):
+            thread.join(20)
+            assert not thread.is_alive()
+        assert made == [5]
+
+
 def test_a_live_page_asks_for_the_mesh_at_the_slider():
     def make_step(count):
         return Step(count, None, (), ["too few"]) if count == 16 else Step(count, sphere(float(count)))
@@ -504,6 +531,15 @@ def test_a_live_page_asks_for_the_mesh_at_the_slider():
         page.press("Home")
         page.wait_for("page.steps[0].count === 1")
         page.check()
+
+
+def test_a_port_that_is_taken_is_told(here, capsys):
+    touches = table("t.csv", strokes_on_a_sphere())
+    write_mesh("mesh.ply", sphere())
+    with served(small_scene(), None) as server:
+        assert main([touches, "mesh.ply", "--no-open", "--port", str(server.server_port)]) == 2
+        said = f"touchnet view: error: cannot serve at localhost, port {server.server_port}: Address already in use\n"
+        assert capsys.readouterr().err == said
 
 
 def test_the_command_serves_until_it_is_interrupted(here):

@@ -207,7 +207,11 @@ def _serve(scene: Scene, make_step: Callable[[int], Step] | None, options: Optio
     """Shows the page until Ctrl-C."""
     from touchnet.viewer.server import LOCAL, Server
 
-    with Server(scene, make_step, host=options.host, port=options.port) as server:
+    try:
+        server = Server(scene, make_step, host=options.host, port=options.port)
+    except OSError as error:
+        raise OSError(f"cannot serve at {options.host}, port {options.port}: {error.strerror or error}") from None
+    with server:
         if options.host not in LOCAL:
             warnings.warn(f"other machines can see the page at port {server.server_port}", stacklevel=2)
         print(f"{server.address} (Ctrl-C ends)", flush=True)

@@ -37,12 +37,12 @@ class Server(ThreadingHTTPServer):
         self, scene: Scene, make_step: Callable[[int], Step] | None, *, host: str = "localhost", port: int = 0
     ) -> None:
         self.host = host
+        self._make_step, self._lock = make_step, threading.Lock()
         super().__init__((host, port), _Handler)
         self.total = len(scene.contacts.points)
         self.page = render_page(scene).encode()
-        self._scene, self._make_step = scene, make_step
+        self._scene = scene
         self._steps = {step.count: scene.pack_step(step) for step in scene.steps}
-        self._lock = threading.Lock()
 
     @property
     def address(self) -> str:
@@ -53,6 +53,13 @@ class Server(ThreadingHTTPServer):
         super().server_bind()
         # The standard library's asks the name service for the name of this machine, which may take seconds.
         self.server_name = self.host
+
+    def server_close(self) -> None:
+        """Ends the server; waits for the step at work, during which torch would abort a process that ends."""
+        super().server_close()
+        self._make_step = None
+        with self._lock:
+            pass
 
     def handle_error(self, request: object, client_address: object) -> None:
         # A page that is closed or asks anew does not wait for the answer.
@@ -68,8 +75,9 @@ class Server(ThreadingHTTPServer):
     def step(self, count: int) -> bytes:
         """The packed step after so many contacts; KeyError where there is none."""
         with self._lock:  # one reconstruction uses all cores
-            if count not in self._steps and self._make_step is not None:
-                self._steps[count] = self._scene.pack_step(self._make_step(count))
+            make_step = self._make_step
+            if count not in self._steps and make_step is not None:
+                self._steps[count] = self._scene.pack_step(make_step(count))
             return self._steps[count]
 
 
