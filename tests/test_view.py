@@ -284,6 +284,16 @@ def unpacked(data):
     return json.loads(data[4 : 4 + length])
 
 
+@pytest.mark.parametrize("points", [[[1, 2, 3]], [[0, 0, 0], [1e-9, 0, 0]], [[1e30, 0, 0], [-1e30, 0, 1e29]]])
+def test_a_single_place_and_any_unit_can_be_looked_at(tmp_path, points):
+    scene = Scene(Points(np.array(points, dtype=np.float64), None, None, 0), "few", steps=[Step(len(points), None)])
+    with shown(scene, tmp_path) as page:
+        seen = page.screenshot()
+        page.click("#contacts")
+        assert 1e-4 < changed(seen, page.screenshot()) < 0.05
+        assert "NaN" not in facts(page)
+
+
 def test_many_contacts_are_thinned_and_outliers_marked():
     points = np.random.default_rng(0).normal(size=(2 * MAX_SHOWN + 1, 3))
     head = unpacked(Scene(Points(points, None, None, 0), "many").pack_contacts())

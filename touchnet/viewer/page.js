@@ -17,6 +17,8 @@ const page = {
 };
 
 function number(value, digits = 4) {
+  const size = Math.abs(value);
+  if (size && (size < 1e-4 || size >= 1e7)) return value.toExponential(digits - 1);
   return value.toLocaleString("en", { maximumSignificantDigits: digits, useGrouping: false });
 }
 
@@ -279,7 +281,7 @@ function face(away) {
 function showFacts() {
   const { scene, step } = page;
   const plural = (count, word) => `${count} ${word}${count === 1 ? "" : "s"}`;
-  const extent = [0, 1, 2].map((i) => number(scene.side * (page.box[1][i] - page.box[0][i]), 3)).join(" × ");
+  const extent = page.extent.map((length) => number(length, 3)).join(" × ");
   const facts = [
     ["Contacts", `${scene.count}${scene.outliers ? ` (${plural(scene.outliers, "outlier")})` : ""}`],
     ["Strokes", `${scene.strokes.length}${scene.guessed ? " (from jumps)" : ""}`],
@@ -574,6 +576,8 @@ function show() {
       widen(axis, last.low[axis] + last.size[axis]);
     }
   }
+  page.extent = [0, 1, 2].map((i) => scene.side * (page.box[1][i] - page.box[0][i]));
+  if (!page.extent.some(Boolean)) page.box = page.box.map((corner, k) => corner.map((c) => c + k - 0.5)); // a single place
   // Dense contacts are drawn smaller.
   page.radius = Math.min(Math.max(0.24 / Math.sqrt(shown), 0.0012), 0.011);
   page.arrows = [];
