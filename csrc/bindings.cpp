@@ -6,6 +6,7 @@
 #include "gp.h"
 #include "marching_cubes.h"
 #include "octree.h"
+#include "parallel.h"
 #include "volume_bindings.h"
 #ifdef TOUCHNET_WITH_CUDA
 #include "cuda/bindings.h"
@@ -60,8 +61,8 @@ static py::dict build_info() {
   info["compiler"] = "unknown";
 #endif
   info["cplusplus"] = static_cast<long>(__cplusplus);
-  info["threading"] = "std::thread";
-  info["openmp"] = false;
+  info["threading"] = touchnet::torch_team() ? "the OpenMP pool of torch" : "std::thread";
+  info["openmp"] = touchnet::torch_team() != nullptr;
 #ifdef TOUCHNET_WITH_CUDA
   info["cuda_architectures"] = TOUCHNET_CUDA_ARCHITECTURES;
 #else

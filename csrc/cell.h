@@ -39,7 +39,7 @@ struct AxisCell {
 
 template <typename T>
 TN_INLINE T vertex_coordinate(std::int32_t i, std::int32_t n) {
-  return T(-1) + T(2 * std::int64_t(i)) / T(n - 1);
+  return T(-1) + T(2) * T(i) / T(n - 1);  // 2 T(i) is T(2 i): no 64-bit conversion, which AVX2 lacks
 }
 
 // The cell of a finite coordinate. t is measured from the rounded vertex and snapped to 0 or 1 within one epsilon of x
@@ -60,7 +60,7 @@ TN_INLINE AxisCell<T> locate(T x, std::int32_t n) {
 
 template <typename T>
 TN_INLINE bool inside_cube(T x, T y, T z) {  // false for NaN
-  return x >= T(-1) && x <= T(1) && y >= T(-1) && y <= T(1) && z >= T(-1) && z <= T(1);
+  return (x >= T(-1)) & (x <= T(1)) & (y >= T(-1)) & (y <= T(1)) & (z >= T(-1)) & (z <= T(1));
 }
 
 template <typename T>
@@ -74,9 +74,8 @@ template <typename T>
 struct Cell {
   AxisCell<T> x, y, z;
 
-  TN_INLINE T weight(int c) const {
-    return ((c & 4 ? x.t : T(1) - x.t) * (c & 2 ? y.t : T(1) - y.t)) * (c & 1 ? z.t : T(1) - z.t);
-  }
+  TN_INLINE T weight_xy(int c) const { return (c & 4 ? x.t : T(1) - x.t) * (c & 2 ? y.t : T(1) - y.t); }
+  TN_INLINE T weight(int c) const { return weight_xy(c) * (c & 1 ? z.t : T(1) - z.t); }
   TN_INLINE T weight_dx(int c) const {
     return ((c & 4 ? x.slope : -x.slope) * (c & 2 ? y.t : T(1) - y.t)) * (c & 1 ? z.t : T(1) - z.t);
   }
@@ -99,6 +98,10 @@ struct VolumeShape {
   std::int32_t nx, ny, nz;
   std::int64_t stride_b, stride_c, stride_x, stride_y, stride_z;
 
+  // Whether the offsets of a batch item's vertices (of one channel) fit into 32 bits.
+  TN_INLINE bool spans_int32() const {
+    return (nx - 1) * stride_x + (ny - 1) * stride_y + (nz - 1) * stride_z < std::int64_t(1) << 31;
+  }
   TN_INLINE std::int64_t corner(int c) const {
     return (c & 4 ? stride_x : 0) + (c & 2 ? stride_y : 0) + (c & 1 ? stride_z : 0);
   }

@@ -1,10 +1,13 @@
-// Loops on std::thread, and the choice of instruction set at run time.
+// Loops on several threads, and the choice of instruction set at run time.
 //
-// No OpenMP: a second OpenMP runtime beside torch's costs threads, and one that ran before a fork hangs in the child.
-// The threads here live for one call, so a forked DataLoader worker has nothing to inherit. Callers divide work so that
-// every output element is accumulated by one thread in one order: results do not depend on the number of threads.
+// The threads are those that torch runs already: its OpenMP pool, entered through the GOMP_parallel that torch brought
+// into the process. Nothing is linked, no second pool competes for the processors, and the pool is awake where torch
+// has just worked. Without it, or in a forked child, where that pool would hang, std::threads live for one call.
+// Callers divide work so that every output element is accumulated by one thread in one order: results do not depend on
+// the number of threads.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <exception>
 #include <mutex>
@@ -12,54 +15,83 @@
 #include <thread>
 #include <vector>
 
+#if defined(__linux__)
+#include <dlfcn.h>
+#include <pthread.h>
+#endif
+
 #if defined(__x86_64__) && defined(__GNUC__)
 #define TN_X86_DISPATCH 1
 #endif
 
 namespace touchnet {
 
-// Starting and joining a thread takes tens of microseconds; below about this much work each it does not pay.
-constexpr double kMicrosecondsPerThread = 60.0;
+// Work that takes this long on one thread is worth dividing: waking the others costs a few microseconds while they
+// still spin, tens when they sleep.
+constexpr double kWorthDividing = 60.0;
 
-// How many of at most `threads` are worth starting for work that takes `microseconds` on one.
-inline int worth_threads(double microseconds, int threads) {
-  const double useful = microseconds / kMicrosecondsPerThread;
-  if (useful < 2.0 || threads < 2) return 1;
-  return useful < threads ? static_cast<int>(useful) : threads;
+inline int worth_threads(double microseconds, int threads) { return microseconds < kWorthDividing ? 1 : threads; }
+
+// Runs body(data) on `threads` threads at once, the calling one among them, and returns when all are done.
+using Team = void (*)(void (*body)(void*), void* data, unsigned threads, unsigned flags);
+
+#if defined(__linux__)
+inline bool& is_forked() {
+  static bool forked = false;
+  return forked;
 }
+inline const int watch_forks = pthread_atfork(nullptr, nullptr, [] { is_forked() = true; });
+
+inline Team torch_team() {
+  static const Team team = reinterpret_cast<Team>(dlsym(RTLD_DEFAULT, "GOMP_parallel"));
+  return watch_forks != 0 || is_forked() ? nullptr : team;
+}
+#else
+inline Team torch_team() { return nullptr; }
+#endif
 
 // Calls fn(first, last) on `threads` contiguous pieces of [begin, end), one of them on the calling thread.
 template <typename Fn>
 void parallel_for(std::int64_t begin, std::int64_t end, int threads, const Fn& fn) {
   const std::int64_t count = end - begin;
   if (count <= 0) return;
-  if (threads > count) threads = static_cast<int>(count);
-  if (threads <= 1) {
+  const std::int64_t pieces = threads > count ? count : threads;
+  if (pieces <= 1) {
     fn(begin, end);
     return;
   }
-  std::exception_ptr error;
-  std::mutex error_mutex;
-  const auto piece = [&](std::int64_t t) {
-    try {
-      fn(begin + count * t / threads, begin + count * (t + 1) / threads);
-    } catch (...) {
-      const std::lock_guard<std::mutex> lock(error_mutex);
-      if (!error) error = std::current_exception();
+  struct Work {
+    const Fn& fn;
+    const std::int64_t begin, count, pieces;
+    std::atomic<std::int64_t> next{0};
+    std::exception_ptr error{};
+    std::mutex error_mutex{};
+
+    void run() {  // a team may have fewer threads than asked for: each takes pieces while there are any
+      try {
+        for (std::int64_t t; (t = next.fetch_add(1)) < pieces;)
+          fn(begin + count * t / pieces, begin + count * (t + 1) / pieces);
+      } catch (...) {
+        const std::lock_guard<std::mutex> lock(error_mutex);
+        if (!error) error = std::current_exception();
+      }
     }
-  };
-  std::vector<std::thread> workers;
-  workers.reserve(threads - 1);
-  std::int64_t next = 1;
-  try {
-    for (; next < threads; ++next) workers.emplace_back(piece, next);
-  } catch (const std::system_error&) {
-    // The system refused another thread: the caller does the remaining pieces itself.
+  } work{fn, begin, count, pieces};
+  if (const Team team = torch_team()) {
+    // The size of the team stays torch's, so that the pool is never torn down and built again.
+    team([](void* data) { static_cast<Work*>(data)->run(); }, &work, static_cast<unsigned>(threads), 0);
+  } else {
+    std::vector<std::thread> workers;
+    workers.reserve(pieces - 1);
+    try {
+      for (std::int64_t t = 1; t < pieces; ++t) workers.emplace_back([&work] { work.run(); });
+    } catch (const std::system_error&) {
+      // The system refused another thread: those that run take all pieces.
+    }
+    work.run();
+    for (std::thread& worker : workers) worker.join();
   }
-  piece(0);
-  for (; next < threads; ++next) piece(next);
-  for (std::thread& worker : workers) worker.join();
-  if (error) std::rethrow_exception(error);
+  if (work.error) std::rethrow_exception(work.error);
 }
 
 // Runs body() compiled for the widest vectors of this processor. Everything in it must inline (TN_INLINE, lambdas

@@ -43,8 +43,14 @@ struct Block {
         slope[axis][p] = cell.slope;
       }
     }
-    for (int p = 0; p < count; ++p)
-      offset[p] = index[0][p] * shape.stride_x + index[1][p] * shape.stride_y + index[2][p] * shape.stride_z;
+    if (shape.spans_int32()) {  // AVX2 has no 64-bit products
+      const std::int32_t sx = static_cast<std::int32_t>(shape.stride_x), sy = static_cast<std::int32_t>(shape.stride_y),
+                         sz = static_cast<std::int32_t>(shape.stride_z);
+      for (int p = 0; p < count; ++p) offset[p] = index[0][p] * sx + index[1][p] * sy + index[2][p] * sz;
+    } else {
+      for (int p = 0; p < count; ++p)
+        offset[p] = index[0][p] * shape.stride_x + index[1][p] * shape.stride_y + index[2][p] * shape.stride_z;
+    }
   }
 
   TN_INLINE void trilinear_weights(int count) {
@@ -73,15 +79,36 @@ TN_INLINE void for_blocks(std::int64_t first, std::int64_t last, std::int64_t m,
   }
 }
 
-// The corners [first, last) of a point that lie in rows [low, high) along x; none for a point that does not count.
+// The points of a block with corners in rows [low, high) along x, in order, and which of their corners [first, last)
+// do: all eight but for points at the edges of the rows.
 template <typename T>
-TN_INLINE void corners_in_slab(const Block<T>& block, int p, std::int64_t low, std::int64_t high, std::int32_t* first,
-                               std::int32_t* last) {
-  const std::int32_t row = block.index[0][p];
-  const bool lower = row >= low && row < high, upper = row + 1 >= low && row + 1 < high;
-  *first = lower ? 0 : 4;
-  *last = !block.counts[p] || !(lower || upper) ? 0 : upper ? 8 : 4;
-}
+struct SlabPoints {
+  std::int32_t point[Block<T>::kSize], first[Block<T>::kSize], last[Block<T>::kSize];
+  int count;
+
+  TN_INLINE void select(const Block<T>& block, int size, std::int64_t low, std::int64_t high) {
+    const std::int32_t begin = static_cast<std::int32_t>(low), end = static_cast<std::int32_t>(high);
+    std::int32_t outside = 0;
+    for (int p = 0; p < size; ++p) {
+      const std::int32_t row = block.index[0][p];
+      outside |= (row < begin) | (row + 1 >= end) | (block.counts[p] == 0);
+      point[p] = p;
+      first[p] = 0;
+      last[p] = 8;
+    }
+    count = size;
+    if (!outside) return;
+    count = 0;
+    for (int p = 0; p < size; ++p) {  // without branches: which slab a point falls into cannot be predicted
+      const std::int32_t row = block.index[0][p];
+      const std::int32_t lower = (row >= begin) & (row < end), upper = (row + 1 >= begin) & (row + 1 < end);
+      point[count] = p;
+      first[count] = 4 - 4 * lower;
+      last[count] = 4 + 4 * upper;
+      count += (lower | upper) & (block.counts[p] != 0);
+    }
+  }
+};
 
 // Distances in elements from a cell's lower corner to its corners.
 struct Corners {

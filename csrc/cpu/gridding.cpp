@@ -1,39 +1,90 @@
 #include "gridding.h"
 
+#include <cstring>
+
 #include "block.h"
 #include "slabs.h"
 
 namespace touchnet {
 namespace {
 
-// Adds a batch item's points to rows [low, high) of its volume. kDensity: no values.
-template <bool kDensity, typename T>
-void add_points(const T* points, const T* values, std::int64_t n, T* item, const VolumeShape& shape, std::int64_t low,
+// Two neighbours along z, added to in one instruction.
+template <typename T>
+struct Pair {
+  T lower, upper;
+
+  TN_INLINE void add_to(T* vertex) const {
+#if defined(__GNUC__)
+    typedef T Vector __attribute__((vector_size(2 * sizeof(T))));
+    Vector sum;
+    std::memcpy(&sum, vertex, sizeof(sum));
+    sum += Vector{lower, upper};
+    std::memcpy(vertex, &sum, sizeof(sum));
+#else
+    vertex[0] += lower;
+    vertex[1] += upper;
+#endif
+  }
+};
+
+// Adds a batch item's points to rows [low, high) of its volume, a density alone (vertices adjacent along z).
+template <typename T>
+void add_density(const T* points, std::int64_t n, T* item, const VolumeShape& shape, std::int64_t low,
+                 std::int64_t high) {
+  run_vectorised([&]() TN_LAMBDA_INLINE {
+    Block<T> block;
+    SlabPoints<T> chosen;
+    T across[4][Block<T>::kSize];  // the part of the weight that the corners of a pair share
+    for_blocks<T>(0, n, n, [&](std::int64_t, std::int64_t start, int size) TN_LAMBDA_INLINE {
+      block.locate(points + 3 * start, size, shape, Outside::ignore);
+      for (int pair = 0; pair < 4; ++pair)
+        for (int p = 0; p < size; ++p) across[pair][p] = block.cell(p).weight_xy(2 * pair);
+      chosen.select(block, size, low, high);
+      for (int s = 0; s < chosen.count; ++s) {
+        const int p = chosen.point[s];
+        T* base = item + block.offset[p];
+        const T z = block.t[2][p];
+        const auto add = [&](int pair) TN_LAMBDA_INLINE {
+          const T weight = across[pair][p];
+          Pair<T>{weight * (T(1) - z), weight * z}.add_to(base + (pair & 2 ? shape.stride_x : 0) +
+                                                          (pair & 1 ? shape.stride_y : 0));
+        };
+        if (chosen.last[s] - chosen.first[s] == 8)
+          for (int pair = 0; pair < 4; ++pair) add(pair);
+        else
+          for (int pair = chosen.first[s] / 2; pair < chosen.last[s] / 2; ++pair) add(pair);
+      }
+    });
+  });
+}
+
+// Adds a batch item's points and their values to rows [low, high) of its volume.
+template <typename T>
+void add_values(const T* points, const T* values, std::int64_t n, T* item, const VolumeShape& shape, std::int64_t low,
                 std::int64_t high) {
-  const std::int64_t count = kDensity ? 0 : shape.channels - 1;
+  const std::int64_t count = shape.channels - 1;
   const Corners corners(shape);
   run_vectorised([&]() TN_LAMBDA_INLINE {
     Block<T> block;
-    std::int32_t first[Block<T>::kSize], last[Block<T>::kSize];
+    SlabPoints<T> chosen;
     for_blocks<T>(0, n, n, [&](std::int64_t, std::int64_t start, int size) TN_LAMBDA_INLINE {
       block.locate(points + 3 * start, size, shape, Outside::ignore);
       block.trilinear_weights(size);
-      for (int p = 0; p < size; ++p) corners_in_slab(block, p, low, high, first + p, last + p);
-      for (int p = 0; p < size; ++p) {
+      chosen.select(block, size, low, high);
+      for (int s = 0; s < chosen.count; ++s) {
+        const int p = chosen.point[s];
         T* base = item + block.offset[p];
-        const T* point_values = kDensity ? nullptr : values + (start + p) * count;
+        const T* point_values = values + (start + p) * count;
         const auto add = [&](int corner) TN_LAMBDA_INLINE {
           T* vertex = base + corners.at[corner];
           const T weight = block.weight[corner][p];
           vertex[0] += weight;
-          if (!kDensity)
-            for (std::int64_t k = 0; k < count; ++k) vertex[(k + 1) * shape.stride_c] += weight * point_values[k];
+          for (std::int64_t k = 0; k < count; ++k) vertex[(k + 1) * shape.stride_c] += weight * point_values[k];
         };
-        if (first[p] == 0)
-          if (last[p] > 0)
-            for (int corner = 0; corner < 4; ++corner) add(corner);
-        if (last[p] == 8)
-          for (int corner = 4; corner < 8; ++corner) add(corner);
+        if (chosen.last[s] - chosen.first[s] == 8)
+          for (int corner = 0; corner < 8; ++corner) add(corner);
+        else
+          for (int corner = chosen.first[s]; corner < chosen.last[s]; ++corner) add(corner);
       }
     });
   });
@@ -47,9 +98,9 @@ void gridding_forward(const T* points, const T* values, std::int64_t n, T* volum
   const auto add = [&](std::int64_t b, std::int64_t low, std::int64_t high) {
     T* item = volume + b * shape.stride_b;
     if (count == 0)
-      add_points<true>(points + 3 * b * n, values, n, item, shape, low, high);
+      add_density(points + 3 * b * n, n, item, shape, low, high);
     else
-      add_points<false>(points + 3 * b * n, values + b * n * count, n, item, shape, low, high);
+      add_values(points + 3 * b * n, values + b * n * count, n, item, shape, low, high);
   };
   scatter_in_slabs(volume, shape, points, n, 8.0 + 4.0 * count, threads, add);
 }

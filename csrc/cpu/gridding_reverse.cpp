@@ -39,6 +39,69 @@ TN_INLINE void fractions(const Rows<T>& rows, std::int64_t k, T* x, T* y, T* z, 
   *z = upper_z * *inverse;
 }
 
+// How many cells to compute for `count` wanted ones from `start` along the row of cells (i, j): one more, which has no
+// upper vertex, makes whole vectors of the usual rows of 2^n vertices. Its upper vertices are read from the row behind,
+// which the last row of the volume does not have.
+TN_INLINE int padded_count(int count, std::int64_t start, const VolumeShape& shape, std::int64_t i, std::int64_t j) {
+  const bool ends_row = start + count == shape.nz - 1, ends_volume = i == shape.nx - 2 && j == shape.ny - 2;
+  return ends_row && !ends_volume && count < kRun ? count + 1 : count;
+}
+
+// Coordinates from the fractions of the way; `fill` where the cell is empty. `from` of type T or const T*.
+template <typename T>
+TN_INLINE T at(T from, int) {
+  return from;
+}
+template <typename T>
+TN_INLINE T at(const T* from, int k) {
+  return from[k];
+}
+template <typename From, typename T>
+TN_INLINE void place(int count, From from, T step, T fill, const T* __restrict inverse, T* __restrict fraction) {
+  for (int k = 0; k < count; ++k) {
+    const T placed = at(from, k) + step * fraction[k];
+    fraction[k] = inverse[k] > T(0) ? placed : fill;
+  }
+}
+
+template <typename T>
+TN_INLINE void empty_to_zero(int count, const T* __restrict inverse, T* __restrict value) {
+  for (int k = 0; k < count; ++k) {
+    const T kept = value[k];
+    value[k] = inverse[k] > T(0) ? kept : T(0);
+  }
+}
+
+template <typename T>
+TN_INLINE void add(int count, const T* __restrict part, T* __restrict sum) {
+  for (int k = 0; k < count; ++k) sum[k] += part[k];
+}
+
+template <typename T>
+struct Steps {
+  T x, y, z;
+};
+
+// What each cell passes on to its vertices at y0 and y1 with the lower z, and to those above them, from the gradients g
+// of the cells' points; nothing, not even NaN, where the cell is empty.
+template <typename T>
+TN_INLINE void gradients(int count, const T* __restrict g, T upper_x, Steps<T> step, const T* __restrict x,
+                         const T* __restrict y, const T* __restrict z, const T* __restrict inverse, T* __restrict at_y0,
+                         T* __restrict at_y1, T* __restrict above_y0, T* __restrict above_y1) {
+  for (int k = 0; k < count; ++k) {
+    const T gx = step.x * g[3 * k], gy = step.y * g[3 * k + 1], gz = step.z * g[3 * k + 2];
+    const T base = gx * (upper_x - x[k]) - gy * y[k] - gz * z[k];
+    at_y0[k] = base * inverse[k];
+    at_y1[k] = (base + gy) * inverse[k];
+    above_y0[k] = at_y0[k] + gz * inverse[k];
+    above_y1[k] = at_y1[k] + gz * inverse[k];
+  }
+  empty_to_zero(count, inverse, at_y0);
+  empty_to_zero(count, inverse, at_y1);
+  empty_to_zero(count, inverse, above_y0);
+  empty_to_zero(count, inverse, above_y1);
+}
+
 template <typename T>
 T spacing(std::int32_t n) {
   return T(2) / T(n - 1);
@@ -72,17 +135,11 @@ void gridding_reverse_forward(const T* volume, VolumeShape shape, T fill, T* poi
                        for (std::int64_t start = 0; start < nz - 1; start += kRun) {
                          const int count = static_cast<int>(std::min<std::int64_t>(kRun, nz - 1 - start));
                          const Rows<T> rows = rows_of(item, shape, i, j, start);
-                         for (int k = 0; k < count; ++k) fractions(rows, k, x + k, y + k, z + k, inverse + k);
-                         for (int k = 0; k < count; ++k) {
-                           x[k] = x0 + step_x * x[k];
-                           y[k] = y0 + step_y * y[k];
-                           z[k] = z_of[start + k] + step_z * z[k];
-                         }
-                         for (int k = 0; k < count; ++k) {
-                           x[k] = inverse[k] != T(0) ? x[k] : fill;
-                           y[k] = inverse[k] != T(0) ? y[k] : fill;
-                           z[k] = inverse[k] != T(0) ? z[k] : fill;
-                         }
+                         const int padded = padded_count(count, start, shape, i, j);
+                         for (int k = 0; k < padded; ++k) fractions(rows, k, x + k, y + k, z + k, inverse + k);
+                         place(padded, x0, step_x, fill, inverse, x);
+                         place(padded, y0, step_y, fill, inverse, y);
+                         place<const T*>(padded, z_of.data() + start, step_z, fill, inverse, z);
                          T* __restrict point = line + 3 * start;
                          for (int k = 0; k < count; ++k) {
                            point[3 * k] = x[k];
@@ -107,7 +164,7 @@ void gridding_reverse_backward(const T* grad_points, const T* volume, VolumeShap
   parallel_for(0, shape.batch * shape.nx, worth_threads(microseconds, threads),
                [&](std::int64_t first, std::int64_t last) {
                  run_vectorised([&]() TN_LAMBDA_INLINE {
-                   T x[kRun], y[kRun], z[kRun], inverse[kRun], at_y0[kRun], at_y1[kRun], along_z[kRun];
+                   T x[kRun], y[kRun], z[kRun], inverse[kRun], at_y0[kRun], at_y1[kRun], above_y0[kRun], above_y1[kRun];
                    for (std::int64_t row = first; row < last; ++row) {
                      const std::int64_t owned = row % shape.nx;
                      const T* item = volume + row / shape.nx * item_size;
@@ -120,26 +177,16 @@ void gridding_reverse_backward(const T* grad_points, const T* volume, VolumeShap
                          for (std::int64_t start = 0; start < nz - 1; start += kRun) {
                            const int count = static_cast<int>(std::min<std::int64_t>(kRun, nz - 1 - start));
                            const Rows<T> rows = rows_of(item, shape, i, j, start);
-                           for (int k = 0; k < count; ++k) fractions(rows, k, x + k, y + k, z + k, inverse + k);
+                           const int padded = padded_count(count, start, shape, i, j);
+                           for (int k = 0; k < padded; ++k) fractions(rows, k, x + k, y + k, z + k, inverse + k);
                            const T* g = item_grad + 3 * (i * plane + j * nz + start);
-                           for (int k = 0; k < count; ++k) {
-                             const T gx = step_x * g[3 * k], gy = step_y * g[3 * k + 1], gz = step_z * g[3 * k + 2];
-                             const T base = gx * (upper_x - x[k]) - gy * y[k] - gz * z[k];
-                             at_y0[k] = base * inverse[k];
-                             at_y1[k] = (base + gy) * inverse[k];
-                             along_z[k] = gz * inverse[k];
-                           }
-                           for (int k = 0; k < count; ++k) {  // an empty cell passes nothing on, not even NaN
-                             at_y0[k] = inverse[k] != T(0) ? at_y0[k] : T(0);
-                             at_y1[k] = inverse[k] != T(0) ? at_y1[k] : T(0);
-                             along_z[k] = inverse[k] != T(0) ? along_z[k] : T(0);
-                           }
-                           T* __restrict y0 = result + j * nz + start;
-                           T* __restrict y1 = y0 + nz;
-                           for (int k = 0; k < count; ++k) y0[k] += at_y0[k];
-                           for (int k = 0; k < count; ++k) y0[k + 1] += at_y0[k] + along_z[k];
-                           for (int k = 0; k < count; ++k) y1[k] += at_y1[k];
-                           for (int k = 0; k < count; ++k) y1[k + 1] += at_y1[k] + along_z[k];
+                           gradients(padded, g, upper_x, {step_x, step_y, step_z}, x, y, z, inverse, at_y0, at_y1,
+                                     above_y0, above_y1);
+                           T* line = result + j * nz + start;
+                           add(count, at_y0, line);
+                           add(count, above_y0, line + 1);
+                           add(count, at_y1, line + nz);
+                           add(count, above_y1, line + nz + 1);
                          }
                        }
                      }

@@ -102,23 +102,25 @@ void sample_backward_volume(const T* grad_out, const T* points, std::int64_t m, 
     run_vectorised([&]() TN_LAMBDA_INLINE {
       T* item = grad_volume + b * shape.stride_b;
       Block<T> block;
-      std::int32_t first[Block<T>::kSize], last[Block<T>::kSize];  // corners of each point within the slab
+      SlabPoints<T> chosen;
       for_blocks<T>(b * m, (b + 1) * m, m, [&](std::int64_t, std::int64_t start, int count) TN_LAMBDA_INLINE {
         prepare<kind>(block, points + 3 * start, count, shape);
-        for (int p = 0; p < count; ++p) corners_in_slab(block, p, low, high, first + p, last + p);
+        chosen.select(block, count, low, high);
         if (shape.stride_c == 1) {
-          for (int p = 0; p < count; ++p) {
-            if (p + kAhead < count && last[p + kAhead] > 0) prefetch_corners(item + block.offset[p + kAhead], corners);
+          for (int s = 0; s < chosen.count; ++s) {
+            if (s + kAhead < chosen.count) prefetch_corners(item + block.offset[chosen.point[s + kAhead]], corners);
+            const int p = chosen.point[s];
             const T* gradient = grad_out + (start + p) * channels;
-            for (int corner = first[p]; corner < last[p]; ++corner)
+            for (int corner = chosen.first[s]; corner < chosen.last[s]; ++corner)
               add_row(item + block.offset[p] + corners.at[corner], block.weight[corner][p], gradient, channels);
           }
         } else {
           for (std::int64_t c = 0; c < channels; ++c) {
-            for (int p = 0; p < count; ++p) {
+            for (int s = 0; s < chosen.count; ++s) {
+              const int p = chosen.point[s];
               T* base = item + c * shape.stride_c + block.offset[p];
               const T gradient = grad_out[(start + p) * channels + c];
-              for (int corner = first[p]; corner < last[p]; ++corner)
+              for (int corner = chosen.first[s]; corner < chosen.last[s]; ++corner)
                 base[corners.at[corner]] += block.weight[corner][p] * gradient;
             }
           }
@@ -256,12 +258,13 @@ void cubic_backward_volume(const T* grad_out, const T* points, std::int64_t m, T
     run_vectorised([&]() TN_LAMBDA_INLINE {
       T* item = grad_volume + b * shape.stride_b;
       Block<T> block;
+      SlabPoints<T> chosen;
       for_blocks<T>(b * m, (b + 1) * m, m, [&](std::int64_t, std::int64_t start, int count) TN_LAMBDA_INLINE {
         block.locate(points + 3 * start, count, shape, Outside::clamp);
-        for (int p = 0; p < count; ++p) {
-          std::int32_t first, last;
-          corners_in_slab(block, p, low, high, &first, &last);
-          for (int corner = first; corner < last; ++corner) {
+        chosen.select(block, count, low, high);
+        for (int s = 0; s < chosen.count; ++s) {
+          const int p = chosen.point[s];
+          for (int corner = chosen.first[s]; corner < chosen.last[s]; ++corner) {
             T* vertex = item + block.offset[p] + corners.at[corner];
             const T* gradient = grad_out + ((start + p) * 8 + corner) * channels;
             if (shape.stride_c == 1)

@@ -1,9 +1,12 @@
 """The kernels in DataLoader workers, forked after use in the parent and spawned."""
 
+from pathlib import Path
+
 import pytest
 import torch
 from torch.utils.data import DataLoader, Dataset
 
+import touchnet
 from touchnet import ops
 
 
@@ -34,3 +37,21 @@ def test_workers_after_use_in_the_parent(context):
     finally:
         torch.set_num_threads(before)
     assert torch.equal(got, expected)
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="threads are counted in /proc, which Linux has")
+@pytest.mark.skipif(not touchnet.build_info()["openmp"], reason="this torch brings no GNU OpenMP")
+def test_the_kernels_run_on_the_threads_of_torch():
+    def threads() -> set[str]:
+        return {task.name for task in Path("/proc/self/task").iterdir()}
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        torch.rand(1_000_000).exp_()
+        torchs = threads()
+        data = Volumes()
+        data[0]
+        assert threads() == torchs
+    finally:
+        torch.set_num_threads(before)
