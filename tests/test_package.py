@@ -10,7 +10,7 @@ import pytest
 import touchnet
 
 ROOT = Path(__file__).resolve().parents[1]
-COMMANDS = ["train", "simulate", "evaluate", "reconstruct"]
+COMMANDS = ["train", "simulate", "evaluate", "reconstruct", "view"]
 
 
 def submodules():

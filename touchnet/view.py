@@ -34,9 +34,9 @@ class Options:
     the command nor a network. A slider runs over the contacts in their order; the mesh follows.
     """
 
-    touches: Annotated[Path, tyro.conf.Positional]
+    touches: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TOUCHES")]
     """File of contacts, as for touchnet reconstruct; - reads standard input."""
-    mesh: Annotated[Path | None, tyro.conf.Positional] = None
+    mesh: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="MESH")] = None
     """Show this mesh; without it meshes are reconstructed from the contacts."""
     save: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="PAGE.html")] = None
     """Write the page to this file and end."""
