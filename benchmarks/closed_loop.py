@@ -108,6 +108,7 @@ class Stage(NamedTuple):
 
     contacts: Contacts
     tries: int  # pokes, those that met nothing included
+    mesh: trimesh.Trimesh | None = None  # where the method made it already
 
 
 def advised(truth: Truth, explorer: Explorer, seed: int) -> Iterator[Stage]:
@@ -118,7 +119,13 @@ def advised(truth: Truth, explorer: Explorer, seed: int) -> Iterator[Stage]:
     for count in COUNTS:
         while len(explorer) < count and spent < MOST_TRIES * count:
             batch = min(count - len(explorer), max(START, len(explorer) // 4))
-            suggested = explorer.next(batch)
+            try:
+                suggested = explorer.next(batch)
+            except ValueError:  # no surface, or none of it within reach
+                contacts, tries = truth.random(batch, seed + spent)
+                explorer.add(*contacts)
+                spent += int(tries[-1])
+                continue
             paths = zip(suggested.positions, suggested.directions, suggested.clearances, strict=True)
             for place, contact in zip(suggested.positions, [truth.poke(*path) for path in paths], strict=True):
                 spent += 1
@@ -126,19 +133,24 @@ def advised(truth: Truth, explorer: Explorer, seed: int) -> Iterator[Stage]:
                     explorer.add(*contact)
                 else:
                     explorer.add_misses(place)
-        yield Stage(Contacts(explorer.points, explorer.normals), spent)
+        yield Stage(Contacts(explorer.points, explorer.normals), spent, _mesh_of(explorer))
+
+
+def _mesh_of(explorer: Explorer) -> trimesh.Trimesh | None:
+    try:
+        return explorer.mesh()
+    except ValueError:
+        return None
 
 
 def runs(truth: Truth, model: object, seed: int) -> dict[str, Iterator[Stage]]:
     poked, tries = truth.random(COUNTS[-1], seed)
     scattered = truth.scattered(COUNTS[-1], seed)
-    paper = simulate_touches(truth.mesh, COUNTS[-1], seed=seed)
     planned = ((n, simulate_touches(truth.mesh, n, seed=seed)) for n in COUNTS)
     return {
-        "advice": advised(truth, Explorer(weights=model, resolution=64), seed),
+        "advice": advised(truth, Explorer(weights=model, resolution=RESOLUTION), seed),
         "random pokes": (Stage(Contacts(poked.points[:n], poked.normals[:n]), int(tries[n - 1])) for n in COUNTS),
-        "exploration": (Stage(Contacts(paper.points[:n], paper.normals[:n]), n) for n in COUNTS),
-        "exploration, planned": (Stage(Contacts(t.points, t.normals), n) for n, t in planned),
+        "exploration": (Stage(Contacts(t.points, t.normals), n) for n, t in planned),
         "scattered": (Stage(Contacts(scattered.points[:n], scattered.normals[:n]), n) for n in COUNTS),
     }
 
@@ -159,9 +171,10 @@ def measure(truth: Truth, model: object, seed: int) -> list[dict]:
     """One record for each method and count: IoU of the reconstruction from the contacts so far."""
     records = []
     for method, stages in runs(truth, model, seed).items():
-        for count, ((points, normals), tries) in zip(COUNTS, stages, strict=True):
+        for count, ((points, normals), tries, mesh) in zip(COUNTS, stages, strict=True):
             try:
-                mesh = touchnet.reconstruct_mesh(points, normals=normals, weights=model, resolution=RESOLUTION)
+                if mesh is None:
+                    mesh = touchnet.reconstruct_mesh(points, normals=normals, weights=model, resolution=RESOLUTION)
                 iou = volumetric_iou(mesh, truth.mesh, lines=LINES)
             except ValueError:  # contacts that bound no solid, or no surface
                 iou = 0.0

@@ -166,6 +166,10 @@ def draw(tables: list[list[tuple[float, float]]], path: Path) -> None:
     ends = [min(predicted.min(), found.min()) / 1.3, 1.3 * max(predicted.max(), found.max())]
     left.loglog(ends, ends, color="0.7", linewidth=1)
     left.loglog(predicted, found, "o-")
+    ticks = [t for t in (0.1, 0.2, 0.5, 1, 2, 5, 10) if ends[0] <= t <= ends[1]]
+    left.set_xticks(ticks, map(str, ticks))
+    left.set_yticks(ticks, map(str, ticks))
+    left.minorticks_off()
     left.set(xlabel="expected error, % of the longest side", ylabel="mean true error, %", xlim=ends, ylim=ends)
     right.plot([0, 1], [0, 1], color="0.7", linewidth=1)
     right.plot(*np.array(tables[1]).T, "o-")

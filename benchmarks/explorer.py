@@ -38,7 +38,7 @@ def explorer() -> Iterator[Case]:
         "a new session",
         limit=NEXT_WITHIN,
         limit_name="of 100 ms",
-        repeats=10,
+        repeats=5,
     )
 
     def add_and_mesh() -> None:
@@ -46,7 +46,7 @@ def explorer() -> Iterator[Case]:
         session.mesh()
 
     yield Case(
-        f"{MORE} contacts more, mesh at 128^3", add_and_mesh, limit=MESH_WITHIN, limit_name="of 500 ms", repeats=10
+        f"{MORE} contacts more, mesh at 128^3", add_and_mesh, limit=MESH_WITHIN, limit_name="of 500 ms", repeats=5
     )
 
     def all_anew() -> None:

@@ -132,6 +132,7 @@ def test_any_unit_and_offset(scale, offset):
     assert there.expected_errors == pytest.approx(here.expected_errors * scale, rel=0.02)
 
 
+@pytest.mark.filterwarnings("ignore:half of the contacts")
 def test_contacts_that_outgrow_the_first_ones():
     session = explorer(0.2 * most())
     session.next()
@@ -248,6 +249,7 @@ def test_bad_contacts_are_refused_whole():
         explorer(most(), reachable=lambda p, d: p[:, 0]).next()
 
 
+@pytest.mark.filterwarnings("ignore:half of the contacts")
 def test_too_few_contacts():
     session = Explorer(weights=UnitBall())
     for count in range(4):
@@ -255,3 +257,16 @@ def test_too_few_contacts():
             session.next()
         session.add(sphere(4)[count])
     assert len(session.next(2).positions) == 2
+
+
+def test_gains_are_what_conditioning_on_the_touch_takes_away():
+    session = explorer(most())
+    suggested = session.next(3)
+    places, process = session._places, session._gp
+    before = float(places.weights @ process.gp.variance(places.unit))
+    whole = before
+    for position, gain in zip(suggested.positions, suggested.gains, strict=True):
+        process.gp.add(process.to_unit(position[None]))
+        after = float(places.weights @ process.gp.variance(places.unit))
+        assert gain == pytest.approx((before - after) / whole, rel=1e-6)
+        before = after

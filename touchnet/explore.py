@@ -21,9 +21,9 @@ class Options:
     """The places on an object whose touches would tell most about its shape, given the contacts so far.
 
     Prints for each place its position, the direction along which the finger should come (from outside, against the
-    outward normal), the share of the expected squared error of the surface that the touch is expected to remove, how
-    far the surface may lie from the position, and how far back the path is free of the object as far as known; all in
-    the frame and unit of the input. The places are meant to be touched in this order, or all before asking again.
+    outward normal), the share of what is not known of the whole surface that the touch is expected to tell, how far the
+    surface may lie from the position, and how far back the path is free of the object as far as known; all in the frame
+    and unit of the input. The places are meant to be touched in this order, or all before asking again.
     """
 
     touches: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TOUCHES")]

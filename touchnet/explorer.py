@@ -18,7 +18,6 @@ from scipy.spatial import cKDTree
 from torch import nn
 
 from touchnet import ops
-from touchnet.data.exploration import ClosestPoints
 from touchnet.data.gp import _KERNELS, _LANES, GaussianProcess
 from touchnet.frames import FILL, Frame
 from touchnet.metrics import sample_surface
@@ -33,7 +32,7 @@ CANDIDATES = 1024  # places on the surface among which the next touches are chos
 LENGTH_SCALE = 0.15  # how far one touch tells, as a share of the longest side of the contacts
 NOISE = 0.05  # standard deviation of a contact against the prior's 1: a touch never tells everything
 GROWTH = 1.1  # how far the contacts' longest side may grow before the Gaussian process starts anew
-LATTICE = 64  # vertices along the cube at which the occupancy is looked up
+LATTICE = 48  # vertices along the cube at which the occupancy is looked up
 POSSIBLE = 0.25  # occupancy from which on the object may well be there
 DEPTH, STEPS = 0.15, 24  # how far a finger is followed, as a share of the longest side, and in how many steps
 STALE = 1.25  # the surface is fitted again once there are so many times as many contacts as it was fitted to
@@ -46,8 +45,8 @@ class Suggestions(NamedTuple):
     Attributes:
         positions: (k,3) where the finger should meet the surface.
         directions: (k,3) unit vectors along which it should come: from outside, against the surface's outward normal.
-        gains: (k,) in 0..1, the share of the expected squared error of the whole surface that this touch is expected to
-            remove, after those before it.
+        gains: (k,) in 0..1, the share of what is not known of the whole surface that this touch is expected to tell,
+            after those before it.
         expected_errors: (k,) how far the surface may lie from the position, as in the mesh's "expected_error".
         clearances: (k,) how far back from the position, against the direction, the path is free of the object as it is
             known; at most the longest side of the contacts. Fingers had best set out there: the object may be larger.
@@ -64,11 +63,11 @@ class Explorer:
     """A session with a probe: contacts come in, a closed mesh and the next places to touch come out.
 
     Contacts accumulate; `mesh` is the reconstruction from all of them, computed when asked for and then kept; `next`
-    chooses among places on its surface. The error of the surface is taken as a Gaussian field: its size at each place
-    is what the network expects there ("expected_error" of `reconstruct_mesh`), how errors at two places go together is
-    the posterior correlation of a Gaussian process that knows the contacts. The place chosen is the one whose touch
-    lowers the expected squared error of the whole surface most; the field is then conditioned on that touch before the
-    next is chosen, which spreads a batch over the object.
+    chooses among places on its surface. What is not known of the surface is taken as a Gaussian field: its variance at
+    a place is the error the network expects there ("expected_error" of `reconstruct_mesh`), how two places go together
+    is the posterior correlation of a Gaussian process that knows the contacts. The place chosen is the one whose touch
+    lowers the variance summed over the whole surface most; the field is then conditioned on that touch before the next
+    is chosen, which spreads a batch over the object.
 
     New contacts are put into the Gaussian process at once. The surface is fitted again by `next` only where they
     contradict it or have become a quarter more, so that a few contacts more cost milliseconds.
@@ -191,6 +190,7 @@ class Explorer:
             return self._reconstruct(resolution).mesh
         if self._fit is None or self._fitted < len(self):
             self._fit, self._fitted, self._places = self._reconstruct(self.resolution), len(self), None
+            self._tree = cKDTree(self._fit.mesh.vertices)
         return self._fit.mesh
 
     def next(self, k: int = 1, *, refit: bool | None = None) -> Suggestions:
@@ -210,7 +210,7 @@ class Explorer:
             self.mesh()
         process = self._process()
         if self._places is None:
-            self._places = _Places(self._fit, self.level, process, self._can_reach)
+            self._places = _Places(self._fit, self._tree, self.level, process, self._can_reach)
         return self._places.best(process, k)
 
     def _reconstruct(self, resolution: int) -> Reconstruction:
@@ -230,9 +230,8 @@ class Explorer:
             return False
         if len(self) >= STALE * self._fitted:
             return True
-        mesh = self._fit.mesh
-        _, _, distance = ClosestPoints(mesh.vertices, mesh.faces)(new)
-        return bool(distance.max() > ASTRAY * FILL * mesh.metadata["frame"].scale)
+        # Vertices stand for the surface: they lie closer together than ASTRAY.
+        return bool(self._tree.query(new)[0].max() > ASTRAY * FILL * self._fit.mesh.metadata["frame"].scale)
 
     def _process(self) -> _Process:
         """The Gaussian process with all places visited; it starts anew where they have outgrown its length scale."""
@@ -287,7 +286,12 @@ class _Places:
     """
 
     def __init__(
-        self, fit: Reconstruction, level: float, process: _Process, can_reach: Callable[[_Places], NDArray[np.bool_]]
+        self,
+        fit: Reconstruction,
+        tree: cKDTree,
+        level: float,
+        process: _Process,
+        can_reach: Callable[[_Places], NDArray[np.bool_]],
     ) -> None:
         mesh, self.frame = fit.mesh, fit.mesh.metadata["frame"]
         self.side, self.cell = FILL * self.frame.scale, 2 * self.frame.scale / (LATTICE - 1)
@@ -316,7 +320,7 @@ class _Places:
         blocked = self.occupancy(self.positions[:, None] + back[:, None] * self.normals[:, None]) >= level
         blocked = np.concatenate([blocked, np.ones((CANDIDATES, 1), dtype=bool)], axis=1)
         self.clearances = np.concatenate([[0.0], back])[blocked.argmax(axis=1)]
-        distance, nearest = cKDTree(mesh.vertices).query(self.positions)
+        distance, nearest = tree.query(self.positions)
         self.errors = mesh.vertex_attributes["expected_error"][nearest] + distance
         self.reachable = can_reach(self)
         self.unit = np.ascontiguousarray(process.to_unit(self.positions))
@@ -329,7 +333,7 @@ class _Places:
         _C.gp_kernel(_KERNELS[gp.kernel], gp.length_scale, at, CANDIDATES, at, CANDIDATES, out)
         self._follow(gp)
         # What the network expects is about what the contacts so far leave open.
-        self.weights = self.errors**2 / np.maximum(self.covariance.diagonal(), NOISE**2)
+        self.weights = self.errors / np.maximum(self.covariance.diagonal(), NOISE**2)
 
     def occupancy(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """The network's occupancy (...) at points (...,3), between the vertices of the lattice; 0 outside of it."""
@@ -368,21 +372,28 @@ class _Places:
             raise ValueError(
                 "no place on the surface is reachable: approach, cone, floor, standoff or reachable are too strict"
             )
-        covariance = self.covariance.copy()
-        total = float((self.weights * covariance.diagonal()).sum())
+        covariance = self.covariance
+        variance = covariance.diagonal().copy()
+        total = float(self.weights @ variance)
+        # What touching j would take off the whole is Σ_i w_i C_ij² / (C_jj + noise²). After a touch C loses the product
+        # of a row r with itself, and Σ_i w_i C_ij² changes by -2 r_j Σ_i w_i r_i C_ij + r_j² Σ_i w_i r_i².
+        square = self.weights @ covariance**2
+        taken = np.empty((0, CANDIDATES))
         chosen: list[int] = []
         gains: list[float] = []
-        open_ = self.reachable.copy()
-        for _ in range(min(k, int(open_.sum()))):
-            removed = self.weights @ covariance**2 / (np.maximum(covariance.diagonal(), 0) + NOISE**2)
-            removed *= self.chance
-            removed[~open_] = -np.inf
+        left = self.reachable.copy()
+        for _ in range(min(k, int(left.sum()))):
+            removed = self.chance * square / (np.maximum(variance, 0) + NOISE**2)
+            removed[~left] = -np.inf
             best = int(removed.argmax())
             chosen.append(best)
             gains.append(float(removed[best]) / max(total, 1e-300))
-            open_[best] = False
-            row = covariance[best] / np.sqrt(max(covariance[best, best], 0) + NOISE**2)
-            covariance -= row[:, None] * row
+            left[best] = False
+            row = (covariance[best] - taken[:, best] @ taken) / np.sqrt(max(variance[best], 0) + NOISE**2)
+            weighted = self.weights * row
+            square += row**2 * (weighted @ row) - 2 * row * (weighted @ covariance - (taken @ weighted) @ taken)
+            variance -= row**2
+            taken = np.concatenate([taken, row[None]])
         return Suggestions(
             self.positions[chosen],
             -self.normals[chosen],
