@@ -79,8 +79,8 @@ TN_INLINE void for_blocks(std::int64_t first, std::int64_t last, std::int64_t m,
   }
 }
 
-// The points of a block with corners in rows [low, high) along x, in order, and which of their corners [first, last)
-// do: all eight but for points at the edges of the rows.
+// The points of a block with corners in rows [low, high) along x, in order, and which corners [first[p], last[p]) of
+// point p do: all eight but for points at the edges of the rows.
 template <typename T>
 struct SlabPoints {
   std::int32_t point[Block<T>::kSize], first[Block<T>::kSize], last[Block<T>::kSize];
@@ -88,24 +88,22 @@ struct SlabPoints {
 
   TN_INLINE void select(const Block<T>& block, int size, std::int64_t low, std::int64_t high) {
     const std::int32_t begin = static_cast<std::int32_t>(low), end = static_cast<std::int32_t>(high);
-    std::int32_t outside = 0;
+    std::int32_t all = 8;
     for (int p = 0; p < size; ++p) {
       const std::int32_t row = block.index[0][p];
-      outside |= (row < begin) | (row + 1 >= end) | (block.counts[p] == 0);
+      const std::int32_t lower = row >= begin && row < end ? 4 : 0, upper = row + 1 >= begin && row + 1 < end ? 4 : 0;
+      const std::int32_t some = block.counts[p] ? lower | upper : 0;
+      first[p] = 4 - lower;
+      last[p] = some ? 4 + upper : 4 - lower;
       point[p] = p;
-      first[p] = 0;
-      last[p] = 8;
+      all = last[p] - first[p] < all ? last[p] - first[p] : all;
     }
     count = size;
-    if (!outside) return;
+    if (all == 8) return;
     count = 0;
     for (int p = 0; p < size; ++p) {  // without branches: which slab a point falls into cannot be predicted
-      const std::int32_t row = block.index[0][p];
-      const std::int32_t lower = (row >= begin) & (row < end), upper = (row + 1 >= begin) & (row + 1 < end);
       point[count] = p;
-      first[count] = 4 - 4 * lower;
-      last[count] = 4 + 4 * upper;
-      count += (lower | upper) & (block.counts[p] != 0);
+      count += last[p] > first[p];
     }
   }
 };

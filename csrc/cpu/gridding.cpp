@@ -49,10 +49,10 @@ void add_density(const T* points, std::int64_t n, T* item, const VolumeShape& sh
           Pair<T>{weight * (T(1) - z), weight * z}.add_to(base + (pair & 2 ? shape.stride_x : 0) +
                                                           (pair & 1 ? shape.stride_y : 0));
         };
-        if (chosen.last[s] - chosen.first[s] == 8)
+        if (chosen.last[p] - chosen.first[p] == 8)
           for (int pair = 0; pair < 4; ++pair) add(pair);
         else
-          for (int pair = chosen.first[s] / 2; pair < chosen.last[s] / 2; ++pair) add(pair);
+          for (int pair = chosen.first[p] / 2; pair < chosen.last[p] / 2; ++pair) add(pair);
       }
     });
   });
@@ -81,10 +81,10 @@ void add_values(const T* points, const T* values, std::int64_t n, T* item, const
           vertex[0] += weight;
           for (std::int64_t k = 0; k < count; ++k) vertex[(k + 1) * shape.stride_c] += weight * point_values[k];
         };
-        if (chosen.last[s] - chosen.first[s] == 8)
+        if (chosen.last[p] - chosen.first[p] == 8)
           for (int corner = 0; corner < 8; ++corner) add(corner);
         else
-          for (int corner = chosen.first[s]; corner < chosen.last[s]; ++corner) add(corner);
+          for (int corner = chosen.first[p]; corner < chosen.last[p]; ++corner) add(corner);
       }
     });
   });

@@ -111,7 +111,7 @@ void sample_backward_volume(const T* grad_out, const T* points, std::int64_t m, 
             if (s + kAhead < chosen.count) prefetch_corners(item + block.offset[chosen.point[s + kAhead]], corners);
             const int p = chosen.point[s];
             const T* gradient = grad_out + (start + p) * channels;
-            for (int corner = chosen.first[s]; corner < chosen.last[s]; ++corner)
+            for (int corner = chosen.first[p]; corner < chosen.last[p]; ++corner)
               add_row(item + block.offset[p] + corners.at[corner], block.weight[corner][p], gradient, channels);
           }
         } else {
@@ -120,7 +120,7 @@ void sample_backward_volume(const T* grad_out, const T* points, std::int64_t m, 
               const int p = chosen.point[s];
               T* base = item + c * shape.stride_c + block.offset[p];
               const T gradient = grad_out[(start + p) * channels + c];
-              for (int corner = chosen.first[s]; corner < chosen.last[s]; ++corner)
+              for (int corner = chosen.first[p]; corner < chosen.last[p]; ++corner)
                 base[corners.at[corner]] += block.weight[corner][p] * gradient;
             }
           }
@@ -264,7 +264,7 @@ void cubic_backward_volume(const T* grad_out, const T* points, std::int64_t m, T
         chosen.select(block, count, low, high);
         for (int s = 0; s < chosen.count; ++s) {
           const int p = chosen.point[s];
-          for (int corner = chosen.first[s]; corner < chosen.last[s]; ++corner) {
+          for (int corner = chosen.first[p]; corner < chosen.last[p]; ++corner) {
             T* vertex = item + block.offset[p] + corners.at[corner];
             const T* gradient = grad_out + ((start + p) * 8 + corner) * channels;
             if (shape.stride_c == 1)
