@@ -36,7 +36,7 @@ class Options:
 
     touches: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TOUCHES")]
     """File of contacts, as for touchnet reconstruct; - reads standard input."""
-    mesh: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="MESH")] = None
+    mesh: Annotated[tyro.conf.Positional[Path | None], tyro.conf.arg(metavar="[MESH]")] = None
     """Show this mesh; without it meshes are reconstructed from the contacts."""
     save: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="PAGE.html")] = None
     """Write the page to this file and end."""
