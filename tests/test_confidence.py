@@ -140,3 +140,18 @@ def test_attributes_that_are_not_one_float_a_vertex_are_not_written(tmp_path):
     again = read_mesh(tmp_path / "m.ply")
     assert set(again.vertex_attributes) == {"height"}
     assert (again.vertex_attributes["height"] == mesh.vertices[:, 2]).all()
+
+
+def test_vertices_that_lie_close_together_are_asked_about_once():
+    asked = []
+
+    def field(points):
+        asked.append(len(points))
+        return blurred(0.05)(points)
+
+    vertices = np.concatenate([POINTS, POINTS * (1 + 1e-9)])
+    error = expected_error(field, vertices, 2 * vertices, POINTS)
+    assert len(asked) == 2  # below the surface and above it
+    assert max(asked) <= 50
+    assert error.shape == (100,)
+    assert error[:50] == pytest.approx(error[50:])
