@@ -65,3 +65,18 @@ def test_output_follows_a_link_and_spares_devices(tmp_path):
     assert real.read_text() == "new"
     with outputs.atomic_output(os.devnull) as path:
         assert path == Path(os.devnull)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX permissions")
+def test_a_file_that_is_not_whole_is_private(tmp_path):
+    old = os.umask(0o022)
+    try:
+        with outputs.atomic_output(tmp_path / "mesh.ply") as path:
+            assert path.stat().st_mode & 0o777 == 0o600
+        assert (tmp_path / "mesh.ply").stat().st_mode & 0o777 == 0o644, "as any new file"
+        (tmp_path / "mesh.ply").chmod(0o640)
+        with outputs.atomic_output(tmp_path / "mesh.ply", force=True) as path:
+            assert path.stat().st_mode & 0o777 == 0o600
+        assert (tmp_path / "mesh.ply").stat().st_mode & 0o777 == 0o640, "as the file that it replaced"
+    finally:
+        os.umask(old)

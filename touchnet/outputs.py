@@ -3,6 +3,7 @@
 import contextlib
 import os
 import secrets
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -30,9 +31,9 @@ def atomic_output(path: str | os.PathLike[str], *, force: bool = False) -> Itera
     """Context that yields a temporary path to write to and moves it to `path` at the end.
 
     The temporary file lies in the same folder and keeps the suffix, so that writers that choose a format by name do the
-    right thing. After an exception (Ctrl-C too) it is removed and `path` is as it was; after a kill at worst a file
-    named `.<name>.<random>.part<suffix>` remains, never half a file at `path`. A link is followed; a device such as
-    /dev/null is written directly.
+    right thing; nobody else may read it before it is whole. After an exception (Ctrl-C too) it is removed and `path` is
+    as it was; after a kill at worst a file named `.<name>.<random>.part<suffix>` remains, never half a file at `path`.
+    A link is followed; a device such as /dev/null is written directly.
 
     Raises:
         OSError: as `check_output`, at the start and again at the end.
@@ -45,10 +46,14 @@ def atomic_output(path: str | os.PathLike[str], *, force: bool = False) -> Itera
     temporary = final.with_name(f".{final.stem}.{secrets.token_hex(4)}.part{final.suffix}")
     try:
         temporary.open("xb").close()
+        # What any new file may do here (the umask decides), or what the file that is replaced may.
+        mode = stat.S_IMODE((final if final.exists() else temporary).stat().st_mode)
+        temporary.chmod(0o600)
         yield temporary
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
         check_output(final, force=force)
+        temporary.chmod(mode)
         os.replace(temporary, final)
     finally:
         temporary.unlink(missing_ok=True)

@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -191,9 +191,18 @@ def read_index(directory: str | os.PathLike[str]) -> Index:
         raise ValueError(f"{path}: version should be {VERSION}, got {said.get('version')!r}")
     try:
         shapes = [ShapeRecord(**shape) for shape in said["shapes"]]
+        for shape in shapes:
+            # A data set from elsewhere may name files of its own folder only.
+            if not is_below(shape.file):
+                raise ValueError(f"{path}: the file of {shape.id} should lie in the data set, got {shape.file!r}")
         return Index(said["seed"], said["parameters"], shapes, said["failures"])
     except (KeyError, TypeError) as error:
         raise ValueError(f"{path}: an entry is missing or unknown ({error})") from error
+
+
+def is_below(file: str) -> bool:
+    """Whether a relative path stays below its folder, on any system."""
+    return not (PureWindowsPath(file).anchor or ".." in PureWindowsPath(file).parts)
 
 
 def write_index(directory: str | os.PathLike[str], index: Index) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import trimesh
 
-from touchnet.data.dataset import SPLITS
+from touchnet.data.dataset import SPLITS, is_below
 from touchnet.data.factory import MeshSource, shape_id
 from touchnet.data.files import read_mesh
 
@@ -186,6 +186,8 @@ def _read_index(folder: Path, shares: tuple[float, float]) -> Iterator[MeshSourc
             raise ValueError(f"{folder / 'INDEX.csv'}: no column {', '.join(sorted(missing))}")
         for row in rows:
             path = folder / row["file"]
+            if not is_below(row["file"]):
+                raise ValueError(f"{folder / 'INDEX.csv'}, line {rows.line_num}: {row['file']!r} leaves the folder")
             if not path.is_file():
                 raise FileNotFoundError(f"{folder / 'INDEX.csv'}, line {rows.line_num}: {row['file']} is missing")
             identity = shape_id(row["category"], path.stem)
