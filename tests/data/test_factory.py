@@ -1,3 +1,4 @@
+import contextlib
 import functools
 import hashlib
 import json
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from touchnet.data import factory
 from touchnet.data.dataset import TouchDataset, read_index, verify
 from touchnet.data.factory import MeshSource, Parameters, build, shape_id
 from touchnet.data.importers import find_meshes
@@ -181,6 +183,24 @@ def test_missing_trajectories_are_added(made, tmp_path):
     assert reads == []
 
 
+def test_shapes_that_lack_trajectories_stay_listed(made, tmp_path, monkeypatch):
+    fewer = Parameters(**{**SMALL.as_json(), "sigmas": SMALL.sigmas, "trajectories": 1})
+    build(SOURCES, tmp_path, fewer, progress=False)
+    listed = []
+    touch = factory._touch
+
+    def spying(*arguments):
+        data = TouchDataset(tmp_path)
+        listed.append([len(data.shape(i).array("touches")) for i in range(len(data))])
+        assert [line for line in verify(tmp_path) if "checksum" not in line] == []
+        return touch(*arguments)
+
+    monkeypatch.setattr(factory, "_touch", spying)
+    build(SOURCES, tmp_path, SMALL, progress=False)
+    assert [sorted(counts) for counts in listed] == [[1, 1, 1, 1], [1, 1, 1, 2], [1, 1, 2, 2], [1, 2, 2, 2]]
+    assert digests(tmp_path) == digests(made)
+
+
 def _watched(load, reads):
     reads.append(load)
     return load()
@@ -240,6 +260,7 @@ def test_ids_are_safe_file_names():
         shape_id("can", "???")
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_it_goes_on(tmp_path):
     meshes = tmp_path / "meshes" / "box"
     meshes.mkdir(parents=True)
@@ -255,15 +276,19 @@ def test_killed_at_any_moment_it_goes_on(tmp_path):
     run = subprocess.run(command(whole), capture_output=True, text=True, timeout=300, env=environment)
     assert run.returncode == 0, run.stderr
 
-    process = subprocess.Popen(
-        command(cut), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True, env=environment
-    )
-    end = time.monotonic() + 200
-    while process.poll() is None and not list(cut.rglob("*.safetensors")) and time.monotonic() < end:
-        time.sleep(0.005)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+    for awaited in ("dataset.json", "shapes/*/*", "shapes/*/[!.]*"):  # an index, a half-written shape, a finished one
+        process = subprocess.Popen(
+            command(cut), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True, env=environment
+        )
+        end = time.monotonic() + 200
+        before = len(list(cut.glob(awaited)))
+        while process.poll() is None and len(list(cut.glob(awaited))) == before and time.monotonic() < end:
+            time.sleep(0.002)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
     (cut / "shapes" / "box" / ".1.abcd.part.safetensors").write_bytes(b"half")
+    (cut / ".dataset.abcd.part.json").write_bytes(b"half")
 
     run = subprocess.run(command(cut), capture_output=True, text=True, timeout=300, env=environment)
     assert run.returncode == 0, run.stderr

@@ -110,6 +110,19 @@ def test_open_shell_that_faces_outwards_is_filled():
     assert closed.bounds[0][1] > -0.31  # nothing bulges out of the missing floor
 
 
+def test_filling_leaves_no_sealed_cavity():
+    # In a box turned inside out and open at the top the winding number is low; all around it is filled.
+    box = trimesh.creation.box((1, 1, 1)).subdivide().subdivide().subdivide()
+    hole = (box.face_normals[:, 1] < -0.5) & (np.abs(box.triangles_center[:, [0, 2]]) < 0.2).all(1)
+    pocket = trimesh.creation.box((0.4, 0.4, 0.4))
+    pocket.invert()
+    shell = joined(without_faces(box, hole), without_faces(pocket, pocket.face_normals[:, 1] < -0.5))
+    assert (winding_number(shell.vertices, shell.faces, [[0, 0, 0]]) < 0.5).all()
+    closed = make_watertight(shell, resolution=2000)
+    assert closed.metadata["closed_by"] == "winding fill"
+    assert inside(closed, [[0, 0, 0]]).all()
+
+
 def test_manifold_alone_does_not_fill():
     box = trimesh.creation.box((2, 0.6, 0.8)).subdivide().subdivide()
     shell = without_faces(box, box.face_normals[:, 1] < -0.5)

@@ -115,7 +115,8 @@ def build(
 
     Shapes already there with the same seed, parameters and stamp are kept, so a run that was killed goes on where it
     was; `dataset.json` is brought up to date every few seconds, so others may read while the run goes on. The train
-    split comes first, in an order mixed over the categories. Shapes that only lack trajectories get the missing ones. A
+    split comes first, in an order mixed over the categories. Shapes that only lack trajectories get the missing ones,
+    and are listed with those they have until then. A
     mesh that cannot be used is listed under failures with the reason, and skipped. Bytes depend on the seed, parameters
     and mesh alone, never on `jobs`.
 
@@ -132,7 +133,7 @@ def build(
     directory = Path(directory)
     _check(sources)
     directory.mkdir(parents=True, exist_ok=True)
-    for half in (directory / "shapes").rglob(".*.part*"):
+    for half in (*directory.glob(".*.part*"), *(directory / "shapes").rglob(".*.part*")):
         half.unlink(missing_ok=True)  # left by a run that was killed
     kept = _existing(directory, parameters, seed, overwrite)
     prints = {source.id: fingerprint(source, parameters, seed) for source in sources}
@@ -142,8 +143,11 @@ def build(
         record = _finished(directory, source, prints[source.id])
         if record:
             done[source.id] = record
-        else:
-            todo.append(source)
+            continue
+        todo.append(source)
+        file = _file(source)
+        if _has_fewer(directory / file, source, parameters, seed) is not None:  # good for readers as it is
+            done[source.id] = _record(source, file, sha256_of(directory / file))
     todo.sort(key=lambda source: (SPLITS.index(source.split), _hash(source.id)))
     failures: list[Failure] = []
 
@@ -158,6 +162,7 @@ def build(
         with tqdm(total=len(sources), initial=len(sources) - len(todo), unit="shape", disable=not progress) as bar:
             for outcome in _outcomes(todo, directory, parameters, seed, prints, jobs):
                 if isinstance(outcome, Failure):
+                    done.pop(outcome.id, None)
                     failures.append(outcome)
                     tqdm.write(f"skipped {outcome.id}: {outcome.reason}")
                 else:
@@ -252,20 +257,30 @@ def _begun(
     path: Path, source: MeshSource, parameters: Parameters, seed: int
 ) -> tuple[dict[str, NDArray[Any]], dict[str, str]] | None:
     """The shape that lies at `path` with the trajectories it lacks added, if it is the same in all else."""
+    found = _has_fewer(path, source, parameters, seed)
+    if found is None:
+        return None
+    file = ShapeFile(path)
     try:
-        file = ShapeFile(path)
-        found = file.shape("touches")[0]
-        same = fingerprint(source, replace(parameters, trajectories=found), seed)
         with safetensors.safe_open(path, framework="numpy") as opened:
             metadata = dict(opened.metadata() or {})
-        if found >= parameters.trajectories or metadata.get("fingerprint") != same:
-            return None
         tensors = {name: file.array(name) for name in TENSORS}
     except (OSError, ValueError):
         return None
     for name, more in _touch(file.mesh(), source, parameters, seed, found).items():
         tensors[name] = np.concatenate([tensors[name], more])
     return tensors, metadata
+
+
+def _has_fewer(path: Path, source: MeshSource, parameters: Parameters, seed: int) -> int | None:
+    """How many trajectories the shape at `path` has, if it lacks some and is what is wanted in all else."""
+    try:
+        file = ShapeFile(path)
+        found = file.shape("touches")[0]
+        same = fingerprint(source, replace(parameters, trajectories=found), seed)
+        return found if found < parameters.trajectories and file.metadata.get("fingerprint") == same else None
+    except (OSError, ValueError, KeyError):
+        return None
 
 
 def fingerprint(source: MeshSource, parameters: Parameters, seed: int) -> str:

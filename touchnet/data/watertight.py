@@ -360,6 +360,8 @@ def _fill_by_winding(
     # The winding number changes over about a tenth of the side around a hole: scaled to lengths of that order.
     filling = np.minimum(0.1 * (winding - 0.5), from_box + offset)
     field = np.maximum(grid.depth, filling.reshape(grid.depth.shape))
+    empty, _ = ndimage.label(field < 0)
+    field[(empty > 0) & (empty != empty[0, 0, 0])] = spacing  # pockets that the filling sealed
     return _extract(field, grid.origin, spacing, vertices, faces, offset)
 
 
