@@ -8,71 +8,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-import trimesh
 from PIL import Image
 
+from tests.solids import TOUCHES, write_solids
 from touchnet import evaluate as command
+from touchnet.baselines import convex_hull
 from touchnet.config import MODELS
-from touchnet.data.dataset import Index, ShapeRecord, write_index, write_shape
-from touchnet.evaluate import (
-    TRUTH,
-    EvaluateConfig,
-    Method,
-    Task,
-    evaluate,
-    main,
-    result_keys,
-    summarise,
-    tasks_of,
-)
-from touchnet.metrics import inside_mesh, sample_surface
+from touchnet.evaluate import evaluate, main
+from touchnet.evaluation import measure, methods, progress
+from touchnet.evaluation.conditions import TRUTH
+from touchnet.evaluation.measure import result_keys
+from touchnet.evaluation.methods import Method
+from touchnet.evaluation.options import EvaluateConfig
+from touchnet.evaluation.pictures import TILE
+from touchnet.evaluation.tables import as_text
 from touchnet.models import TouchNet
 from touchnet.weights import save_weights
-
-TOUCHES = 96
-
-
-def write_shape_file(directory: Path, name: str, mesh: trimesh.Trimesh) -> ShapeRecord:
-    generator = np.random.default_rng(len(name))
-    mesh.apply_scale(1 / mesh.extents.max())
-    vertices, faces = mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32)
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    surface, face = sample_surface(mesh, 400, generator=generator)
-    touched = [generator.permutation(400)[:TOUCHES] for _ in range(2)]
-    near = np.concatenate([surface[:200] + generator.normal(size=(200, 3)) * sigma for sigma in (0.01, 0.05)])
-    near, box = near.astype(np.float16), generator.uniform(*mesh.bounds, (300, 3)).astype(np.float16)
-    normals = mesh.face_normals[face].astype(np.float16)
-    tensors = {
-        "vertices": vertices,
-        "faces": faces,
-        "touches": np.stack([surface[some] for some in touched]).astype(np.float32),
-        "touch_normals": np.stack([normals[some] for some in touched]),
-        "strokes": np.zeros((2, TOUCHES), dtype=np.int16),
-        "variance": np.ones((2, TOUCHES), dtype=np.float32),
-        "near": near,
-        "near_inside": np.packbits(inside_mesh(near, mesh)),
-        "box": box,
-        "box_inside": np.packbits(inside_mesh(box, mesh)),
-        "surface": surface.astype(np.float32),
-        "surface_normals": normals,
-    }
-    file = f"shapes/{name}.safetensors"
-    said = {"id": name, "category": name.split("/")[0], "centre": "[0, 0, 0]", "scale": "1", "closed_by": "nothing"}
-    digest = write_shape(directory / file, tensors, said)
-    return ShapeRecord(name, name.split("/")[0], "test", "made here", "MIT", file, digest)
 
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory) -> Path:
-    directory = tmp_path_factory.mktemp("data")
-    records = [
-        write_shape_file(directory, "ball/round", trimesh.creation.icosphere(subdivisions=3)),
-        write_shape_file(directory, "ball/oblong", trimesh.creation.capsule(height=1, radius=0.4)),
-        write_shape_file(directory, "box/cube", trimesh.creation.box((1, 1, 1))),
-        write_shape_file(directory, "box/brick", trimesh.creation.box((1, 0.5, 0.4))),
-    ]
-    write_index(directory, Index(0, {"sigmas": [0.01, 0.05]}, records, []))
-    return directory
+    return write_solids(tmp_path_factory.mktemp("data"))
 
 
 def config(data: Path, output: Path, **changes: object) -> EvaluateConfig:
@@ -83,9 +39,12 @@ def config(data: Path, output: Path, **changes: object) -> EvaluateConfig:
 
 
 def results(output: Path) -> list[dict[str, str]]:
-    """results.csv without the time, which is never the same."""
+    """results.csv without the costs, which are never the same."""
     with (output / "results.csv").open(newline="") as file:
-        return [{name: value for name, value in row.items() if name != "seconds"} for row in csv.DictReader(file)]
+        return [
+            {name: value for name, value in row.items() if name not in ("seconds", "memory")}
+            for row in csv.DictReader(file)
+        ]
 
 
 @pytest.fixture
@@ -93,14 +52,19 @@ def calls(monkeypatch) -> list[tuple[int, bool]]:
     """Puts a method in the model's place that gives the hull, or nothing for few contacts; notes how it was called."""
     seen = []
 
-    def run(touches, normals, config):
+    def run(touches, normals, config, weights):
         seen.append((len(touches), normals is not None))
         if len(touches) < 50:
             raise ValueError("no surface at level 0.5")
-        return command.convex_hull(touches)
+        return convex_hull(touches)
 
-    monkeypatch.setitem(command.METHODS, "model", Method(run, (True, False)))
-    monkeypatch.setattr(command, "_weights_digest", lambda weights: weights)
+    def method(name, files, categories):
+        return Method(name, run, (True, False), files=(files,))
+
+    monkeypatch.setattr(methods, "network_method", method)
+    monkeypatch.setattr(progress, "weights_digest", lambda weights: weights)
+    monkeypatch.setattr(measure, "_try_once", lambda *arguments: None)
+    monkeypatch.setattr(command, "training_shapes", lambda methods, category: {})
     return seen
 
 
@@ -133,30 +97,31 @@ def test_the_command_writes_and_prints_everything(data: Path, tmp_path: Path, ca
     )
     assert mean["low"] <= mean["value"] <= mean["high"] and mean["shapes"] == 4 and mean["results"] == 8
     picture = np.asarray(Image.open(output / "gallery.png"))
-    assert picture.shape[1] > 3 * command.TILE and picture.shape[0] > 2 * command.TILE
+    assert picture.shape[1] > 3 * TILE and picture.shape[0] > 2 * TILE
     assert not list(output.rglob("*.part*"))
 
 
 def test_more_contacts_are_better_and_two_processes_change_nothing(data: Path, tmp_path: Path) -> None:
-    summary = evaluate(config(data, tmp_path / "one"))
-    iou = {s.contacts: s.value for s in summary if s.category == "mean" and s.measure == "iou" and s.contacts}
+    done = evaluate(config(data, tmp_path / "one"))
+    means = [s for s in done.summaries if s.category == "mean" and s.measure == "iou"]
+    iou = {s.setting.contacts: s.value for s in means}
     assert iou[TOUCHES] > iou[32] + 0.05
     evaluate(config(data, tmp_path / "two", jobs=2))
     assert results(tmp_path / "one") == results(tmp_path / "two")
 
 
 def test_a_method_without_a_surface_counts_as_empty(data: Path, tmp_path: Path, calls) -> None:
-    summary = evaluate(config(data, tmp_path, methods=("model",), trajectories=1, normals="with", gallery=1))
+    done = evaluate(config(data, tmp_path, methods=("model",), trajectories=1, normals="with", gallery=1))
     assert sorted(set(calls)) == [(32, True), (TOUCHES, True)]
     failed = [row for row in results(tmp_path) if row["method"] == "model" and row["contacts"] == "32"]
     assert len(failed) == 4
     for row in failed:
         assert row["note"] == "no surface at level 0.5" and row["empty"] == "1.0" and row["paper_empty"] == "1.0"
         assert float(row["iou"]) == 0 and row["chamfer"] == "inf" and float(row["paper_f_score"]) == 0
-    few = {s.measure: s for s in summary if s.contacts == 32 and s.category == "mean"}
+    few = {s.measure: s for s in done.summaries if s.setting.contacts == 32 and s.category == "mean"}
     assert few["chamfer"].value is None and few["chamfer"].low is None and few["iou"].value == 0
     assert few["iou"].empty == few["iou"].results == few["paper_f_score"].empty == 4
-    assert "4/4" in command.tables(summary, ("surface", "paper"))
+    assert "4/4" in "".join(map(as_text, done.tables))
 
 
 def test_resume_goes_on_after_a_kill(data: Path, tmp_path: Path, calls) -> None:
@@ -218,45 +183,6 @@ def test_a_folder_that_is_no_data_set_is_one_line(tmp_path: Path, capsys) -> Non
     assert not (tmp_path / "out").exists()
 
 
-def test_which_reconstructions_are_asked(tmp_path: Path) -> None:
-    asked = config(Path(), tmp_path, methods=("model", "convex_hull", "poisson"), contacts=(8,), trajectories=3)
-    tasks = tasks_of(asked, 2)
-    assert tasks[0] == Task(TRUTH, 0, 0, False)
-    assert [t.normals for t in tasks if t.method == "model"] == [True, False] * 2
-    # The hull never takes normals and Poisson always does, so each runs once a trajectory.
-    assert [t for t in tasks if t.method == "convex_hull"] == [Task("convex_hull", k, 8, False) for k in (0, 1)]
-    assert [t for t in tasks if t.method == "poisson"] == [Task("poisson", k, 8, True) for k in (0, 1)]
-    without = tasks_of(dataclasses.replace(asked, normals="without"), 4)
-    assert [t.trajectory for t in without if t.method == "model"] == [0, 1, 2]
-    assert not any(t.normals for t in without if t.method == "model")
-
-
-def test_summary_by_hand() -> None:
-    def row(shape: str, trajectory: int, iou: float, chamfer: float) -> dict[str, object]:
-        category = shape.split("/")[0]
-        return {
-            "shape": shape, "category": category, "method": "m", "trajectory": trajectory, "contacts": 8,
-            "normals": True, "iou": iou, "chamfer": chamfer, "empty": float(np.isinf(chamfer)),
-        }  # fmt: skip
-
-    rows = [
-        row("a/1", 0, 0.2, 1.0),
-        row("a/1", 1, 0.4, 3.0),  # shape a/1: 0.3, 2
-        row("a/2", 0, 0.9, np.inf),  # empty
-        row("b/1", 0, 0.5, 4.0),
-    ]
-    found = {(s.category, s.measure): s for s in summarise(rows, ["iou", "chamfer"], seed=0)}
-    assert found["a", "iou"].value == pytest.approx(0.6)
-    assert found["mean", "iou"].value == pytest.approx((0.6 + 0.5) / 2)
-    assert (found["a", "iou"].low, found["a", "iou"].high) == pytest.approx((0.3, 0.9))
-    assert found["b", "iou"].low is None  # a single shape has no spread
-    assert (found["mean", "iou"].low, found["mean", "iou"].high) == pytest.approx((0.4, 0.7))
-    assert found["a", "chamfer"].value == pytest.approx(2) and found["mean", "chamfer"].value == pytest.approx(3)
-    assert (found["a", "chamfer"].shapes, found["a", "chamfer"].results, found["a", "chamfer"].empty) == (2, 3, 1)
-    assert found["mean", "chamfer"].empty == 1 and found["mean", "chamfer"].shapes == 3
-    assert all(s.low is None for s in summarise([rows[0], rows[3]], ["iou"], seed=0))
-
-
 def test_weights_from_a_file_are_evaluated(data: Path, tmp_path: Path) -> None:
     """An untrained network has no useful surface, but every row is there and its numbers are defined."""
     torch.manual_seed(0)
@@ -271,7 +197,7 @@ def test_weights_from_a_file_are_evaluated(data: Path, tmp_path: Path) -> None:
     assert len(rows) == 4 and {row["normals"] for row in rows} == {"True", "False"}
     for row in rows:
         assert 0 <= float(row["iou"]) <= 1 and len(row["weights"]) == 16
-        assert all(row[name] != "" for name in result_keys(asked) if name != "seconds")
+        assert all(row[name] != "" for name in result_keys(asked) if name not in ("seconds", "memory"))
 
 
 def test_a_picture_after_resume_shows_every_method(data: Path, tmp_path: Path, calls) -> None:
@@ -279,7 +205,7 @@ def test_a_picture_after_resume_shows_every_method(data: Path, tmp_path: Path, c
     evaluate(one)
     width = Image.open(tmp_path / "gallery.png").width
     evaluate(dataclasses.replace(one, methods=("convex_hull", "model"), normals="with", resume=True))
-    assert Image.open(tmp_path / "gallery.png").width > width + command.TILE
+    assert Image.open(tmp_path / "gallery.png").width > width + TILE
     assert [row["method"] for row in results(tmp_path)] == ["convex_hull", "model", TRUTH]
     lines = (tmp_path / "progress.jsonl").read_text().splitlines()
     assert len(lines) == 1 + 3  # the hull was computed again for the picture, and not written again

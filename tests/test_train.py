@@ -12,10 +12,10 @@ import torch
 import trimesh
 from accelerate.state import AcceleratorState
 
-from touchnet.config import PAPER_SAMPLES, SampleConfig
+from touchnet.config import PAPER_SAMPLES, PEERS, ConvONetConfig, GRNetConfig, PointNet2Config, SampleConfig
 from touchnet.data.dataset import Index, ShapeRecord, write_index, write_shape
-from touchnet.train import RECIPES, StepBatches, TrainConfig, learning_rate, main, resolve_recipe, train
-from touchnet.weights import load_model
+from touchnet.train import RECIPES, Budget, StepBatches, TrainConfig, learning_rate, main, resolve_recipe, train
+from touchnet.weights import load_model, read_notes
 
 SMALL_SAMPLES = SampleConfig(queries=256, min_contacts=63, max_contacts=256)
 
@@ -118,6 +118,68 @@ def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(eggs, tmp_path, r
         for run in ("straight", "halves")
     ]
     assert steps[0][-1] == steps[1][-1] == 2
+
+
+SMALL_PEERS = {
+    "grnet": GRNetConfig(grid=16, channels=(4, 8, 8, 8), code=16, sparse=64, copies=2),
+    "pointnet2": PointNet2Config(points=64, copies=2, noise=4, width=8, centres=(16, 4), radii=(0.5, 1), neighbours=8),
+    "convonet": ConvONetConfig(grid=8, hidden=8, blocks=2),
+}
+
+
+@pytest.mark.parametrize("name", sorted(SMALL_PEERS))
+def test_peers_train_resume_exactly_and_load_again(eggs, tmp_path, monkeypatch, name):
+    monkeypatch.setitem(PEERS, name, SMALL_PEERS[name])
+    common = {"model": name, "schedule": "constant", "learning_rate": 1e-3}
+    figures = train(options(eggs, tmp_path / "straight", steps=4, **common))
+    train(options(eggs, tmp_path / "halves", steps=2, **common))
+    train(options(eggs, tmp_path / "halves", steps=4, resume=True, **common))
+    assert same(weights_of(tmp_path / "straight"), weights_of(tmp_path / "halves"))
+    assert (tmp_path / "straight/reconstructions.png").exists()
+    model = load_model(tmp_path / "straight/weights.safetensors")
+    assert model.config == SMALL_PEERS[name]
+    measured = {key.partition("/")[0] for key in figures}
+    assert measured == ({"iou"} if name == "convonet" else {"chamfer", "f_score"})
+    assert any(key.endswith("+normals") for key in figures) == (name == "convonet")
+
+
+def test_a_budget_of_minutes_follows_the_clock(eggs, tmp_path, capsys):
+    budget = Budget(None, 100.0)
+    assert budget.planned(10, 5.0) == 200 and budget.planned(250, 99.9) == 251
+    assert not budget.spent(10**6, 99.9) and budget.spent(1, 100.0)
+    train(options(eggs, tmp_path / "run", steps=None, minutes=0.02))
+    said = capsys.readouterr().out
+    steps = torch.load(tmp_path / "run/checkpoint.pt")["step"]
+    assert f"{steps} steps, {4 * steps} samples seen" in said
+    training = json.loads(read_notes(tmp_path / "run/weights.safetensors")["training"])
+    assert (training["steps"], training["samples"], training["shapes"]) == (steps, 4 * steps, 5)
+    with pytest.raises(ValueError, match=r"nothing is left of 0.02 minutes"):
+        train(options(eggs, tmp_path / "run", steps=None, minutes=0.02, resume=True))
+
+
+def test_smaller_training_sets_lie_within_larger_ones(eggs, tmp_path, monkeypatch):
+    import touchnet.train as module
+
+    drawn = {}
+    real = module.TrainingSamples
+
+    def note(data, *arguments, **options):
+        drawn[len(data)] = {record.id for record in data.records}
+        return real(data, *arguments, **options)
+
+    monkeypatch.setattr(module, "TrainingSamples", note)
+    for limit in (1, 3, 99):
+        train(options(eggs, tmp_path / str(limit), steps=1, limit=limit))
+    assert drawn[1] < drawn[3] < drawn[5]
+
+
+def test_each_category_gets_a_network_of_its_own(eggs, tmp_path):
+    arguments = ["--data", str(eggs), "--model", "tiny", "--steps", "1", "--category", "each", "--device", "cpu"]
+    arguments += ["--workers", "0", "-o", str(tmp_path / "runs")]
+    assert main(arguments) == 0
+    assert load_model(tmp_path / "runs/egg/weights.safetensors")
+    AcceleratorState._reset_state(reset_partial_state=True)
+    assert main([*arguments, "--resume"]) == 0  # finished: passed over
 
 
 def test_a_stop_in_mid_epoch_resumes_exactly(eggs, tmp_path, monkeypatch):
@@ -235,7 +297,7 @@ def test_recipe_paper_is_the_papers():
 
 
 def test_a_bad_value_stops_the_run_and_names_the_shape(eggs, tmp_path, monkeypatch):
-    import touchnet.train as module
+    import touchnet.objectives as module
 
     monkeypatch.setattr(module, "occupancy_loss", lambda logits, inside, kind: logits.mean() * torch.nan)
     with pytest.raises(ValueError, match=r"the loss is nan at step 0; the batch holds egg/\d.*Nothing was updated"):
@@ -262,6 +324,9 @@ def test_licences_can_be_left_out(eggs, tmp_path, capsys):
         (["--data", "nowhere"], "nowhere"),
         (["--steps", "0"], "steps should be positive, got 0"),
         (["--steps", "1", "--epochs", "1"], "steps and epochs were both given"),
+        (["--steps", "1", "--minutes", "1"], "steps and minutes were both given"),
+        (["--limit", "0"], "limit should be positive, got 0"),
+        (["--model", "grnet", "--sampling", "addition"], "sampling is how TouchNet reads features, grnet has none"),
         (["--samples.max-contacts", "3"], "min_contacts should lie between 4 and max_contacts, got 64 and 3"),
         (["--samples.noise", "2"], "samples: noise should lie between 0 and 1, got 2"),
         (["--resume"], "resume: there is no checkpoint"),

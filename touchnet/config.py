@@ -36,16 +36,91 @@ MODELS: dict[str, ModelConfig] = {
 }
 
 
-def model_config_from_dict(values: dict) -> ModelConfig:
+@dataclass(frozen=True)
+class GRNetConfig:
+    """Architecture of :class:`touchnet.models.GRNet`; the defaults are the published ones."""
+
+    grid: int = 64
+    """Vertices along each side of the gridded volume; a multiple of 16."""
+    channels: tuple[int, ...] = (32, 64, 128, 256)
+    """Channels of the volumes at grid/2, ..., grid/16."""
+    code: int = 2048
+    """Values between the two fully connected layers."""
+    sparse: int = 2048
+    """Points taken from the reversed gridding, among them the touches."""
+    copies: int = 8
+    """Dense points for each of them."""
+
+
+@dataclass(frozen=True)
+class PointNet2Config:
+    """Architecture of :class:`touchnet.models.PointNet2`."""
+
+    points: int = 2048
+    """Touches that enter: fewer are repeated, more are thinned."""
+    copies: int = 8
+    """Displaced points for each of them, each with noise of its own."""
+    noise: int = 32
+    """Random values beside the features of a point (as in P2P-NET)."""
+    width: int = 32
+    """Channels of the first level; each level doubles them."""
+    centres: tuple[int, ...] = (512, 128, 32)
+    """Farthest points of each set abstraction."""
+    radii: tuple[float, ...] = (0.2, 0.4, 0.8)
+    """Of their balls, in the cube of side 2."""
+    neighbours: int = 32
+    """Points of a ball."""
+    use_normals: bool = False
+    """Whether contact normals enter."""
+
+
+@dataclass(frozen=True)
+class ConvONetConfig:
+    """Architecture of :class:`touchnet.models.ConvONet`."""
+
+    grid: int = 32
+    """Vertices along each side of the feature volume; a multiple of 4."""
+    hidden: int = 32
+    """Width of the point network, of the volume and of the decoder."""
+    blocks: int = 5
+    """Residual blocks of the point network and of the decoder."""
+    use_normals: bool = True
+    """Whether contact normals, when given, enter beside the positions."""
+
+
+AnyConfig = ModelConfig | GRNetConfig | PointNet2Config | ConvONetConfig
+
+# What `touchnet train --model` offers beside the sizes of TouchNet.
+PEERS: dict[str, AnyConfig] = {
+    "grnet": GRNetConfig(),
+    "pointnet2": PointNet2Config(),
+    "convonet": ConvONetConfig(),
+}
+
+# Names in the header of a file of weights.
+ARCHITECTURES: dict[str, type] = {
+    "touchnet": ModelConfig,
+    "grnet": GRNetConfig,
+    "pointnet2": PointNet2Config,
+    "convonet": ConvONetConfig,
+}
+
+
+def architecture_of(config: AnyConfig) -> str:
+    """The name under which a configuration is stored."""
+    return next(name for name, kind in ARCHITECTURES.items() if type(config) is kind)
+
+
+def model_config_from_dict(values: dict, architecture: str = "touchnet") -> AnyConfig:
     """The inverse of :func:`dataclasses.asdict` after a trip through JSON; unknown fields raise ValueError."""
-    known = {field.name for field in dataclasses.fields(ModelConfig)}
+    if architecture not in ARCHITECTURES:
+        raise ValueError(f"model architecture {architecture!r} is unknown; written by a newer touchnet?")
+    kind = ARCHITECTURES[architecture]
+    known = {field.name for field in dataclasses.fields(kind)}
     unknown = sorted(set(values) - known)
     if unknown:
         raise ValueError(f"model configuration has unknown fields {unknown}; written by a newer touchnet?")
-    values = dict(values)
-    if "channels" in values:
-        values["channels"] = tuple(values["channels"])
-    return ModelConfig(**values)
+    return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
 
 
 @dataclass(frozen=True)
@@ -54,6 +129,8 @@ class SampleConfig:
 
     queries: int = 8192
     """Labelled query points of a sample."""
+    targets: int = 0
+    """Points of the true surface in a sample: what networks that give points are trained with (their recipes: 8192)."""
     near_share: float = 0.5
     """Share of the queries that lie near the surface; the others are uniform: in the shape's box and in the cube."""
     min_contacts: int = 64
@@ -82,6 +159,8 @@ class SampleConfig:
                 f"samples: min_contacts should lie between 4 and max_contacts, got {self.min_contacts} and "
                 f"{self.max_contacts}"
             )
+        if self.targets < 0:
+            raise ValueError(f"samples: targets should be ≥ 0, got {self.targets}")
         if self.queries < 4:
             raise ValueError(f"samples: queries should be at least 4, got {self.queries}")
         for name, value in vars(self).items():

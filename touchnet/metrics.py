@@ -15,6 +15,7 @@ from torch import Tensor
 
 from touchnet.data.exploration import ClosestPoints
 from touchnet.data.watertight import winding_number
+from touchnet.farthest import farthest_point_sample
 from touchnet.raster import cover
 
 DEFINITIONS = {
@@ -127,47 +128,6 @@ def normal_consistency(a: Tensor, a_normals: Tensor, b: Tensor, b_normals: Tenso
         back = (b_unit * _rows(a_unit, nearest(b_batch, a_batch))).sum(-1).abs().mean(1)
         result = (there + back) / 2
     return result[0] if single else result
-
-
-def farthest_point_sample(points: Tensor, count: int, *, start: int = 0) -> Tensor:
-    """Indices of `count` points, each the farthest from those chosen before it. Computed on the CPU in float64.
-
-    Args:
-        points: (N, 3) or (B, N, 3), finite, on any device.
-        count: 0 <= count <= N.
-        start: index of the first one; negative counts from the end.
-
-    Returns:
-        (count,) or (B, count) int64 on the device of the points, all different.
-    """
-    batch, _, single = _point_sets(points, points)
-    n = batch.shape[1]
-    if not 0 <= count <= n:
-        raise ValueError(f"count must be between 0 and the number of points {n}, got {count}")
-    if count and not -n <= start < n:
-        raise ValueError(f"start must be an index of {n} points, got {start}")
-    chosen = [_farthest(cloud, count, start) for cloud in batch.detach().to("cpu", torch.float64).numpy()]
-    result = torch.from_numpy(np.array(chosen, dtype=np.int64).reshape(len(batch), count)).to(points.device)
-    return result[0] if single else result
-
-
-def _farthest(points: NDArray[np.float64], count: int, start: int) -> NDArray[np.int64]:
-    # |x - y|^2 = |x|^2 - 2 x.y + |y|^2 takes half the passes over memory; about the middle it keeps its digits.
-    points = points - points.mean(axis=0) if len(points) else points
-    square = np.square(points).sum(axis=1)
-    doubled = 2 * points
-    distance, step = np.full(len(points), np.inf), np.empty(len(points))
-    chosen = np.empty(count, dtype=np.int64)
-    latest = start % max(len(points), 1)
-    for k in range(count):
-        chosen[k] = latest
-        np.dot(points, doubled[latest], out=step)
-        np.subtract(square, step, out=step)
-        step += square[latest]
-        np.minimum(distance, step, out=distance)
-        distance[latest] = -np.inf  # chosen once only, also among duplicates
-        latest = distance.argmax()
-    return chosen
 
 
 @torch.no_grad()
@@ -468,15 +428,26 @@ class SurfaceTruth:
         iou = self.iou(mesh) if closed else self.iou_of_labels(mesh)
         scores = {
             "iou": iou,
-            "chamfer_l1": (there.mean() + back.mean()) / 2,
-            "chamfer": np.square(there).mean() + np.square(back).mean(),
-            **{f"f_score_{d:g}": _harmonic_mean((there < d).mean(), (back < d).mean()) for d in thresholds},
+            **_distance_scores(there, back, thresholds),
             "normal_consistency": (consistency_there + consistency_back) / 2,
-            "hausdorff_95": max(np.quantile(there, 0.95), np.quantile(back, 0.95)),
             "watertight": closed,
             "empty": False,
         }
-        return {name: float(value) for name, value in scores.items()}
+        return {name: float(scores[name]) for name in surface_keys(thresholds)}
+
+    def scores_of_points(
+        self, points: NDArray[np.floating], *, thresholds: tuple[float, ...] = THRESHOLDS
+    ) -> dict[str, float]:
+        """The measures of a predicted cloud (K, 3): exact distances to the true surface, and from its samples to the
+        nearest predicted point. NaN where a measure needs faces: IoU, normals, watertight. No point counts as empty.
+        """
+        points = _checked_points(points)
+        scores = _empty_scores(thresholds)
+        if len(points):
+            _, _, there = self.closest(points)
+            back = cKDTree(points).query(self.points)[0]
+            scores |= _distance_scores(there, back, thresholds) | {"empty": 0.0}
+        return scores | dict.fromkeys(("iou", "normal_consistency", "watertight"), float("nan"))
 
     def iou(self, mesh: trimesh.Trimesh) -> float:
         """As `volumetric_iou(mesh, truth)`, on lines laid over the truth; wider ones for a far larger prediction."""
@@ -496,6 +467,19 @@ class SurfaceTruth:
 def surface_keys(thresholds: tuple[float, ...] = THRESHOLDS) -> tuple[str, ...]:
     """The names of what `SurfaceTruth.scores` returns, in order."""
     return tuple(_empty_scores(thresholds))
+
+
+def _distance_scores(
+    there: NDArray[np.float64], back: NDArray[np.float64], thresholds: tuple[float, ...]
+) -> dict[str, float]:
+    """Of the distances prediction to truth, and truth to prediction."""
+    scores = {
+        "chamfer_l1": (there.mean() + back.mean()) / 2,
+        "chamfer": np.square(there).mean() + np.square(back).mean(),
+        **{f"f_score_{d:g}": _harmonic_mean((there < d).mean(), (back < d).mean()) for d in thresholds},
+        "hausdorff_95": max(np.quantile(there, 0.95), np.quantile(back, 0.95)),
+    }
+    return {name: float(value) for name, value in scores.items()}
 
 
 def _empty_scores(thresholds: tuple[float, ...]) -> dict[str, float]:
@@ -528,23 +512,29 @@ class PaperTruth:
         self.inside = np.asarray(inside, dtype=bool)
         self.count = count
         self.threshold = threshold
-        self.truth = self._thinned(self.inside, start=0)
+        self.truth = self._thinned(self.samples[self.inside], start=0)
 
     def scores(self, inside: NDArray[np.bool_] | None) -> dict[str, float]:
         """Chamfer distance and F-score (eq. 9-12) of the points that a method labels "in"; `None`: it gave none."""
         if inside is None:
             inside = np.zeros(len(self.samples), dtype=bool)
         # Started at the other end, so that a perfect prediction shows the ceiling that the thinning allows.
-        predicted = self._thinned(inside, start=-1)
+        return self._compared(self._thinned(self.samples[inside], start=-1))
+
+    def scores_of_points(self, points: NDArray[np.floating]) -> dict[str, float]:
+        """The same for a predicted cloud (K, 3) in place of the samples labelled "in"."""
+        return self._compared(self._thinned(_checked_points(points), start=-1))
+
+    def _compared(self, predicted: Tensor) -> dict[str, float]:
         return {
             "chamfer": float(chamfer_distance(predicted, self.truth)),
             "f_score": float(f_score(predicted, self.truth, threshold=self.threshold)),
             "empty": float(len(predicted) == 0),
         }
 
-    def _thinned(self, inside: NDArray[np.bool_], *, start: int) -> Tensor:
-        points = torch.from_numpy(self.samples[inside])
-        return points[farthest_point_sample(points, min(self.count, len(points)), start=start)]
+    def _thinned(self, points: NDArray[np.float64], *, start: int) -> Tensor:
+        rows = torch.from_numpy(points)
+        return rows[farthest_point_sample(rows, min(self.count, len(rows)), start=start)]
 
 
 def _box(mesh: trimesh.Trimesh) -> NDArray[np.float64]:

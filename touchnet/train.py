@@ -6,6 +6,7 @@ every batch, and what a sample looks like depends on (seed, epoch, item) alone.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import json
 import math
@@ -17,34 +18,42 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import torch
 import tyro
 from accelerate import Accelerator
 from torch import Tensor, nn
-from torch.utils.data import DataLoader, Sampler, default_collate
+from torch.utils.data import DataLoader, Sampler
 from tqdm import tqdm
 
 from touchnet import cli, outputs
 from touchnet.allocator import tune_allocator
-from touchnet.config import MODELS, PAPER_SAMPLES, ModelConfig, SampleConfig
+from touchnet.config import (
+    MODELS,
+    PAPER_SAMPLES,
+    PEERS,
+    AnyConfig,
+    ModelConfig,
+    SampleConfig,
+    architecture_of,
+)
 from touchnet.data.dataset import TouchDataset
-from touchnet.data.samples import Sample, TrainingSamples, validation_sample
-from touchnet.losses import Loss, occupancy_loss
-from touchnet.metrics import volumetric_iou
-from touchnet.models import TouchNet
+from touchnet.data.samples import Sample, TrainingSamples
+from touchnet.losses import Loss
+from touchnet.models import build_model
+from touchnet.objectives import objective_of, validate
 from touchnet.weights import save_weights
 
-VALIDATION = ((2048, True), (512, True), (128, True), (2048, False), (512, False), (128, False))
+EACH = "each"  # in place of a category
 
 
 @dataclass(frozen=True)
 class Recipe:
     """What `--recipe` stands for."""
 
-    model: ModelConfig
+    model: AnyConfig
     samples: SampleConfig
     loss: Loss
     batch_size: int
@@ -56,6 +65,7 @@ class Recipe:
     precision: Literal["no", "bf16"]
     steps: int | None = None
     epochs: int | None = None
+    minutes: float | None = None
 
 
 RECIPES = {
@@ -69,10 +79,21 @@ RECIPES = {
     ),
 }  # fmt: skip
 
+# What is different for networks other than TouchNet, in either recipe.
+PEER_CHANGES: dict[str, dict[str, Any]] = {
+    "grnet": {"loss": "chamfer_gridding", "learning_rate": 5e-4, "weight_decay": 0.0},
+    "pointnet2": {"loss": "chamfer", "learning_rate": 1e-3, "weight_decay": 0.0},
+    "convonet": {"learning_rate": 1e-3},
+}
+PEER_SAMPLES: dict[str, dict[str, Any]] = {
+    "grnet": {"queries": 16, "targets": 8192},
+    "pointnet2": {"queries": 16, "targets": 8192},
+}
+
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Train a network that turns touches into occupancy."""
+    """Train a network that turns touches into occupancy, or a peer to compare it with."""
 
     data: Path | None = None
     """Data set directory (see `touchnet simulate`). Without it the embedded procedural data set is built and used."""
@@ -80,14 +101,17 @@ class TrainConfig:
     """Folder for the checkpoint, the weights, the log (TensorBoard) and the picture."""
     recipe: Literal["default", "paper"] = "default"
     """Defaults of the options below that are not given; `paper` is the ACCV 2022 paper's training."""
-    model: Literal["base", "paper", "tiny"] | None = None
-    """Size of the network (recipe default: base; paper: paper); tiny is for trying things out."""
+    model: Literal["base", "paper", "tiny", "grnet", "pointnet2", "convonet"] | None = None
+    """Size of the network (recipe default: base; paper: paper); tiny is for trying things out. grnet and pointnet2 give
+    points, convonet occupancy: baselines, with a loss and a learning rate of their own in either recipe."""
     sampling: Literal["trilinear", "addition"] | None = None
     """How features are read at a query: interpolated (FI) or added (FA). Default: trilinear."""
     steps: int | None = None
     """Optimizer steps in all (recipe default: 3000)."""
     epochs: int | None = None
     """Passes over the data in all, instead of --steps (recipe paper: 200)."""
+    minutes: float | None = None
+    """Wall-clock time in all, instead of --steps: the schedule follows the clock, so two such runs differ."""
     batch_size: int | None = None
     """Samples of a step over all processes (both recipes: 4)."""
     learning_rate: float | None = None
@@ -103,7 +127,9 @@ class TrainConfig:
     """no: all in float32 (both recipes); bf16: convolutions in bfloat16, weights and updates in float32, which pays on
     processors with bfloat16 matrix units."""
     category: tuple[str, ...] = ()
-    """Train on these categories only."""
+    """Train on these categories only; `each`: one network for each category, in OUTPUT/CATEGORY."""
+    limit: int | None = None
+    """Train on this many shapes only, drawn at random; with the same seed smaller sets lie within larger ones."""
     exclude_licence: tuple[str, ...] = ()
     """Leave out shapes whose licence starts with one of these, such as GPL-2."""
     samples: SampleConfig = dataclasses.field(default_factory=SampleConfig)
@@ -132,12 +158,12 @@ class TrainConfig:
 class Step(nn.Module):
     """The network together with its loss, so that one forward call is what processes are synchronised around."""
 
-    def __init__(self, network: TouchNet, loss: Loss) -> None:
+    def __init__(self, network: nn.Module, loss: Loss) -> None:
         super().__init__()
-        self.network, self.loss = network, loss
+        self.network, self.kind, self.objective = network, loss, objective_of(network)
 
-    def forward(self, touches: Tensor, normals: Tensor, queries: Tensor, inside: Tensor) -> Tensor:
-        return occupancy_loss(self.network.logits(touches, queries, normals), inside, self.loss)
+    def forward(self, *batch: Tensor) -> Tensor:
+        return self.objective.loss(self.network, Sample(*batch), self.kind)
 
 
 class StepBatches(Sampler[list[tuple[int, int]]]):
@@ -198,16 +224,37 @@ def learning_rate(step: int, steps: int, per_epoch: int, peak: float, schedule: 
     return peak * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * (step - warm_up) / max(1, steps - warm_up))))
 
 
+class Budget(NamedTuple):
+    """When training ends: at a step, or when the time is up."""
+
+    steps: int | None
+    seconds: float | None
+
+    def planned(self, step: int, elapsed: float) -> int:
+        """How many steps there will be in all, as far as `step` steps in `elapsed` seconds tell."""
+        if self.seconds is None:
+            return self.steps
+        if step == 0:
+            return UNKNOWN_STEPS
+        return max(step + 1, round(step * self.seconds / elapsed))
+
+    def spent(self, done: int, elapsed: float) -> bool:
+        """Whether step `done` was the last."""
+        return done >= self.steps if self.seconds is None else elapsed >= self.seconds
+
+
+UNKNOWN_STEPS = 2000  # before the first step has told how long one takes
+ENDLESS = 1 << 40  # more steps than any time allows
+
+
 class Average:
     """Exponential moving average of a network's weights; what is validated and saved. A decay of 0 is the network."""
 
-    def __init__(self, network: TouchNet, decay: float) -> None:
-        self.network, self.decay = TouchNet(network.config).eval().requires_grad_(False), decay
-        self.network.load_state_dict(network.state_dict())
-        self.network.to(next(network.parameters()).device)
+    def __init__(self, network: nn.Module, decay: float) -> None:
+        self.network, self.decay = copy.deepcopy(network).eval().requires_grad_(False), decay
 
     @torch.no_grad()
-    def update(self, network: TouchNet, step: int) -> None:
+    def update(self, network: nn.Module, step: int) -> None:
         # Early on the average forgets faster, or it would keep the initial weights for a thousand steps.
         decay = min(self.decay, (1 + step) / (10 + step))
         pairs = zip(self.network.state_dict().values(), network.state_dict().values(), strict=True)
@@ -247,48 +294,57 @@ def train(config: TrainConfig) -> dict[str, float]:
         with accelerator.main_process_first():
             data = embedded_data(config)
     options = {"categories": config.category or None, "exclude_licences": config.exclude_licence}
-    samples = TrainingSamples(TouchDataset(data, "train", **options), recipe.samples, seed=config.seed)
+    chosen = TouchDataset(data, "train", **options)
+    chosen.records = _drawn(chosen.records, config.limit, config.seed)
+    samples = TrainingSamples(chosen, recipe.samples, seed=config.seed)
     held_out = TouchDataset(data, "val", **options)
     per_epoch = steps_per_epoch(len(samples), recipe.batch_size)
-    steps = recipe.steps if recipe.steps is not None else recipe.epochs * per_epoch
+    budget = budget_of(recipe, per_epoch)
 
     torch.manual_seed(config.seed)
-    network = TouchNet(recipe.model)
+    network = build_model(recipe.model)
     fused = accelerator.device.type in ("cpu", "cuda")
     optimizer = torch.optim.AdamW(
         network.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay, fused=fused
     )
     model, optimizer = accelerator.prepare(Step(network, recipe.loss), optimizer)
     average = Average(network, recipe.average)
-    start = 0
+    start, earlier = 0, 0.0
     if config.resume:
-        start = load_checkpoint(checkpoint, network, average, optimizer, recipe, accelerator.device)
-        if start >= steps:
-            raise ValueError(f"resume: {checkpoint} is at step {start}, nothing is left of {steps} steps (see --steps)")
+        start, earlier = load_checkpoint(checkpoint, network, average, optimizer, recipe, accelerator.device)
+        if budget.spent(start, earlier):
+            raise NothingLeft(
+                f"resume: {checkpoint} is at step {start} after {earlier / 60:.1f} minutes, nothing is left of "
+                + (f"{budget.steps} steps (see --steps)" if budget.seconds is None else f"{recipe.minutes:g} minutes")
+            )
     batches = StepBatches(
-        len(samples), recipe.batch_size, seed=config.seed, start=start, steps=steps,
+        len(samples), recipe.batch_size, seed=config.seed, start=start,
+        steps=ENDLESS if budget.steps is None else budget.steps,
         rank=accelerator.process_index, world=accelerator.num_processes,
         weights=samples.weights(recipe.balance) if recipe.balance else None,
     )  # fmt: skip
     loader = DataLoader(samples, batch_sampler=batches, num_workers=config.workers)
-    log = Log(config, recipe, steps=steps, start=start, shapes=len(samples.data)) if main else None
+    log = Log(config, recipe, budget=budget, start=start, shapes=len(samples.data)) if main else None
     say = accelerator.print
+    name, ending = described(recipe.model), f"{recipe.minutes:g} minutes" if budget.steps is None else budget.steps
     say(
-        f"{len(samples.data)} shapes ({len(samples)} trajectories), {len(held_out)} held out; {recipe.model.network} "
-        f"network, {sum(p.numel() for p in network.parameters()):,} parameters; steps {start}..{steps} of "
+        f"{len(samples.data)} shapes ({len(samples)} trajectories), {len(held_out)} held out; {name} network, "
+        f"{sum(p.numel() for p in network.parameters()):,} parameters; steps {start}..{ending} of "
         f"{recipe.batch_size} samples on {accelerator.num_processes} process(es), {accelerator.device}"
     )
 
     figures: dict[str, float] = {}
     losses: list[float] = []
+    done, elapsed, began = start, earlier, time.perf_counter()
     model.train()
-    with stop_requests() as stopped, tqdm(total=steps, initial=start, disable=not main, unit="step") as bar:
+    with stop_requests() as stopped, tqdm(total=budget.steps, initial=start, disable=not main, unit="step") as bar:
         for step, batch in enumerate(map(lambda rows: Sample(*rows), loader), start):
             batch = Sample(*(value.to(accelerator.device) for value in batch))
-            rate = learning_rate(step, steps, per_epoch, recipe.learning_rate, recipe.schedule)
+            planned = budget.planned(step, elapsed)
+            rate = learning_rate(step, planned, per_epoch, recipe.learning_rate, recipe.schedule)
             for group in optimizer.param_groups:
                 group["lr"] = rate
-            loss = model(batch.touches, batch.normals, batch.queries, batch.inside)
+            loss = model(*batch)
             if not torch.isfinite(loss):
                 names = ", ".join(samples.data.records[int(i)].id for i in batch.index)
                 raise ValueError(
@@ -303,23 +359,31 @@ def train(config: TrainConfig) -> dict[str, float]:
             done = step + 1
             losses.append(loss.item())
             bar.update()
-            stop = accelerator.reduce(torch.tensor(float(stopped.is_set), device=accelerator.device)).item() > 0
-            if main and (done % 20 == 0 or done == steps):
+            # Every process learns of a signal to one of them, and goes by the first one's clock.
+            clock = earlier + time.perf_counter() - began if main else 0.0
+            shared = torch.tensor([float(stopped.is_set), clock], dtype=torch.float64, device=accelerator.device)
+            signals, elapsed = accelerator.reduce(shared, reduction="sum").tolist()
+            stop, last = signals > 0, budget.spent(done, elapsed)
+            if main and (done % 20 == 0 or last):
                 mean = sum(losses) / len(losses)
                 losses.clear()
                 log.write(done, {"loss": mean, "learning_rate": rate, "epoch": done / per_epoch})
                 bar.set_postfix(loss=f"{mean:.4f}", epoch=f"{done / per_epoch:.1f}")
-            if main and (done == steps or stop or done % config.checkpoint_every == 0):
+            if main and (last or stop or done % config.checkpoint_every == 0):
                 # Half precision is what ships; the checkpoint keeps what training goes on with.
-                save_weights(average.network, config.output / "weights.safetensors", half=True)
-                save_checkpoint(checkpoint, network, average, optimizer, recipe, done)
-            if main and len(held_out) and not stop and (done == steps or done % config.validate_every == 0):
+                notes = {"training": json.dumps(trained_with(config, recipe, samples, done, elapsed))}
+                save_weights(average.network, config.output / "weights.safetensors", half=True, notes=notes)
+                save_checkpoint(checkpoint, network, average, optimizer, recipe, done, elapsed)
+            if main and len(held_out) and not stop and (last or done % config.validate_every == 0):
                 figures = validate(average.network, held_out, accelerator.device, recipe.precision)
                 log.write(done, figures)
                 bar.write(f"step {done}: " + ", ".join(f"{name} {value:.3f}" for name, value in figures.items()))
             if stop:
                 say(f"stopped at step {done}; --resume continues")
                 raise KeyboardInterrupt
+            if last:
+                break
+    say(f"{done} steps, {done * recipe.batch_size} samples seen, {elapsed / 60:.1f} minutes")
     if main:
         draw_reconstructions(average.network, held_out if len(held_out) else samples.data, config.output)
         say(f"wrote {config.output / 'weights.safetensors'}")
@@ -328,24 +392,72 @@ def train(config: TrainConfig) -> dict[str, float]:
     return figures
 
 
+class NothingLeft(ValueError):
+    """A run to go on with has reached its end."""
+
+
+def _drawn(records: list, limit: int | None, seed: int) -> list:
+    """`limit` of the records, in their order."""
+    if limit is None or limit >= len(records):
+        return records
+    rows = np.random.default_rng([seed, 1]).permutation(len(records))[:limit]
+    return [records[row] for row in sorted(rows)]
+
+
+def budget_of(recipe: Recipe, per_epoch: int) -> Budget:
+    """Steps or seconds, whichever the recipe has."""
+    if recipe.minutes is not None:
+        return Budget(None, 60 * recipe.minutes)
+    return Budget(recipe.steps if recipe.steps is not None else recipe.epochs * per_epoch, None)
+
+
+def described(model: AnyConfig) -> str:
+    """What a network is called in messages."""
+    return model.network if isinstance(model, ModelConfig) else architecture_of(model)
+
+
+def trained_with(
+    config: TrainConfig, recipe: Recipe, samples: TrainingSamples, steps: int, seconds: float
+) -> dict[str, Any]:
+    """What weights should tell of their training."""
+    return {
+        "shapes": len(samples.data),
+        "categories": samples.data.categories,
+        "recipe": config.recipe,
+        "steps": steps,
+        "samples": steps * recipe.batch_size,
+        "minutes": round(seconds / 60, 2),
+        "seed": config.seed,
+    }
+
+
 def resolve_recipe(config: TrainConfig) -> Recipe:
     """The recipe with the options that were given in place of its defaults."""
     recipe = RECIPES[config.recipe]
+    if config.model in PEERS:
+        if config.sampling is not None:
+            raise ValueError(f"sampling is how TouchNet reads features, {config.model} has none")
+        samples = dataclasses.replace(recipe.samples, **PEER_SAMPLES.get(config.model, {}))
+        recipe = dataclasses.replace(recipe, model=PEERS[config.model], samples=samples, **PEER_CHANGES[config.model])
     names = ("batch_size", "learning_rate", "schedule", "loss", "balance", "precision")
     given = {name: getattr(config, name) for name in names if getattr(config, name) is not None}
     usual = vars(SampleConfig())
     changed = {name: value for name, value in vars(config.samples).items() if value != usual[name]}
     given["samples"] = dataclasses.replace(recipe.samples, **changed)
-    if config.model is not None:
+    if config.model in MODELS:
         given["model"] = MODELS[config.model]
     if config.sampling is not None:
         given["model"] = dataclasses.replace(given.get("model", recipe.model), sampling=config.sampling)
-    if config.steps is not None and config.epochs is not None:
-        raise ValueError("steps and epochs were both given; expected one of them")
-    if config.steps is not None or config.epochs is not None:
-        given |= {"steps": config.steps, "epochs": config.epochs}
+    lengths = {name: getattr(config, name) for name in ("steps", "epochs", "minutes")}
+    named = [name for name, value in lengths.items() if value is not None]
+    if len(named) > 1:
+        raise ValueError(f"{' and '.join(named)} were both given; expected one of them")
+    if named:
+        given |= lengths
     recipe = dataclasses.replace(recipe, **given)
-    for name in ("steps", "epochs", "batch_size", "learning_rate"):
+    if config.limit is not None and config.limit < 1:
+        raise ValueError(f"limit should be positive, got {config.limit}")
+    for name in ("steps", "epochs", "minutes", "batch_size", "learning_rate"):
         value = getattr(recipe, name)
         if value is not None and not value > 0:
             raise ValueError(f"{name} should be positive, got {value}")
@@ -364,51 +476,38 @@ def embedded_data(config: TrainConfig) -> Path:
     return directory
 
 
-@torch.no_grad()
-def validate(network: TouchNet, data: TouchDataset, device: torch.device, precision: str) -> dict[str, float]:
-    """Volumetric IoU (mean over shapes) on uniform labelled points, for several numbers of contacts, with and without
-    normals. The frame comes from the touches alone."""
-    scores: dict[str, list[float]] = {}
-    for index in range(len(data)):
-        shape = data.shape(index)
-        has_touches = shape.array("touches").shape[0] > 0
-        for contacts, normals in VALIDATION if has_touches else ():
-            sample = validation_sample(shape, contacts, normals=normals, index=index)
-            touches, directions, queries, inside, _ = (value.to(device) for value in default_collate([sample]))
-            with torch.autocast(device.type, dtype=torch.bfloat16, enabled=precision == "bf16"):
-                occupancy = network(touches, queries, directions)
-            name = f"iou/{contacts}" + ("+normals" if normals else "")
-            scores.setdefault(name, []).append(float(volumetric_iou(occupancy[0] >= 0.5, inside[0] > 0.5)))
-    return {name: float(np.mean(values)) for name, values in scores.items()}
-
-
-def draw_reconstructions(network: TouchNet, data: TouchDataset, output: Path, *, rows: int = 6) -> None:
+def draw_reconstructions(network: nn.Module, data: TouchDataset, output: Path, *, rows: int = 6) -> None:
     """Writes `reconstructions.png`: touches, reconstruction and truth of some shapes; says which went wrong and why."""
     from touchnet.figures import save_gallery
-    from touchnet.reconstruction import reconstruct_mesh
 
-    pictures = []
+    objective, pictures = objective_of(network), []
     for index in np.unique(np.linspace(0, len(data) - 1, rows).round().astype(int)):
         shape = data.shape(int(index))
         name = data.records[int(index)].id
         stored = shape.array("touches")
         source = ("touches", "touch_normals") if len(stored) else ("surface", "surface_normals")
         touches, normals = (shape.array(part).reshape(-1, 3)[:2048].astype(np.float64) for part in source)
-        mesh = None
+        result = None
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always", UserWarning)
             try:
-                mesh = reconstruct_mesh(touches, normals=normals, weights=network, resolution=128)
+                result = objective.result(network, touches, normals)
             except ValueError as error:
                 print(f"no reconstruction of {name}: {error}", file=sys.stderr)
         for warning in said:
             print(f"reconstruction of {name}: {warning.message}", file=sys.stderr)
-        pictures.append((name, touches, mesh, shape.mesh()))
+        pictures.append((name, touches, result, shape.mesh()))
     save_gallery(output / "reconstructions.png", pictures)
 
 
 def save_checkpoint(
-    path: Path, network: TouchNet, average: Average, optimizer: torch.optim.Optimizer, recipe: Recipe, step: int
+    path: Path,
+    network: nn.Module,
+    average: Average,
+    optimizer: torch.optim.Optimizer,
+    recipe: Recipe,
+    step: int,
+    seconds: float,
 ) -> None:
     """Writes what `--resume` needs: plain tensors and numbers (torch.load's weights_only=True reads it)."""
     state = {
@@ -417,6 +516,7 @@ def save_checkpoint(
         "optimizer": optimizer.state_dict(),
         "model": dataclasses.asdict(recipe.model),
         "step": step,
+        "seconds": seconds,
     }
     with outputs.atomic_output(path, force=True) as temporary:
         torch.save(state, temporary)
@@ -424,13 +524,13 @@ def save_checkpoint(
 
 def load_checkpoint(
     path: Path,
-    network: TouchNet,
+    network: nn.Module,
     average: Average,
     optimizer: torch.optim.Optimizer,
     recipe: Recipe,
     device: torch.device,
-) -> int:
-    """Restores what :func:`save_checkpoint` wrote; returns the step to go on from."""
+) -> tuple[int, float]:
+    """Restores what :func:`save_checkpoint` wrote; returns the step to go on from and the seconds until there."""
     state = torch.load(path, map_location=device, weights_only=True)
     if state["model"] != dataclasses.asdict(recipe.model):
         raise ValueError(
@@ -439,17 +539,17 @@ def load_checkpoint(
     network.load_state_dict(state["network"])
     average.network.load_state_dict(state["average"])
     optimizer.load_state_dict(state["optimizer"])
-    return state["step"]
+    return state["step"], state.get("seconds", 0.0)  # checkpoints of the first version have no clock
 
 
 class Log:
     """Figures over steps: an event file for TensorBoard and one JSON object a line in metrics.jsonl."""
 
-    def __init__(self, config: TrainConfig, recipe: Recipe, *, steps: int, start: int, shapes: int) -> None:
+    def __init__(self, config: TrainConfig, recipe: Recipe, *, budget: Budget, start: int, shapes: int) -> None:
         from torch.utils.tensorboard import SummaryWriter
 
         config.output.mkdir(parents=True, exist_ok=True)
-        described = {"recipe": dataclasses.asdict(recipe), "steps": steps, "seed": config.seed, "shapes": shapes}
+        described = {"recipe": dataclasses.asdict(recipe), "steps": budget.steps, "seed": config.seed, "shapes": shapes}
         with outputs.atomic_output(config.output / "config.json", force=True) as temporary:
             temporary.write_text(json.dumps(described, indent=2, default=str) + "\n")
         self.events = SummaryWriter(str(config.output), purge_step=start or None)
@@ -492,9 +592,28 @@ class stop_requests:
             signal.signal(number, handler)
 
 
+def train_each(config: TrainConfig) -> None:
+    """Trains one network for each category of the split `train`; with --resume those that are not finished."""
+    if len(config.category) > 1:
+        raise ValueError(f"category {EACH!r} stands alone, got {', '.join(config.category)}")
+    data = config.data or embedded_data(config)
+    for category in TouchDataset(data, "train", exclude_licences=config.exclude_licence).categories:
+        output = config.output / category
+        resume = config.resume and (output / "checkpoint.pt").exists()
+        print(f"{category}:")
+        try:
+            train(dataclasses.replace(config, data=data, category=(category,), output=output, resume=resume))
+        except NothingLeft as finished:
+            print(finished)
+
+
 @cli.command("touchnet train")
 def main(argv: Sequence[str] | None = None) -> int:
-    train(cli.parse(TrainConfig, argv, prog="touchnet train"))
+    config = cli.parse(TrainConfig, argv, prog="touchnet train")
+    if EACH in config.category:
+        train_each(config)
+    else:
+        train(config)
     return 0
 
 

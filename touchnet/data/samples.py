@@ -19,7 +19,9 @@ class Sample(NamedTuple):
     normals: np.ndarray  # (N, 3) float32, zero where unknown
     queries: np.ndarray  # (M, 3) float32
     inside: np.ndarray  # (M,) float32, 1 inside, 0 outside
+    targets: np.ndarray  # (K, 3) float32, points of the true surface
     index: int  # row of TouchDataset.records
+    key: int  # 63 random bits: what a network draws itself is seeded with them
 
 
 class TrainingSamples(Dataset):
@@ -68,12 +70,15 @@ class TrainingSamples(Dataset):
             normals = np.zeros_like(normals)
         frame = Frame.fit(contacts)
         queries, inside = _draw_queries(shape, self._extents[index], transform, frame, config, rng)
+        targets = _draw_targets(shape, transform, frame, config.targets, rng)
         return Sample(
             _padded(frame.to_cube(contacts), config.max_contacts, np.nan),
             _padded(normals, config.max_contacts, 0.0),
             queries.astype(np.float32),
             inside.astype(np.float32),
+            targets,
             index,
+            int(rng.integers(2**63)),
         )
 
 
@@ -103,6 +108,8 @@ def validation_sample(
         (directions if normals else np.zeros_like(directions)).astype(np.float32),
         points.astype(np.float32),
         shape.inside("box")[:queries].astype(np.float32),
+        frame.to_cube(np.asarray(shape.array("surface"), dtype=np.float64)).astype(np.float32),
+        index,
         index,
     )
 
@@ -193,6 +200,17 @@ def _draw_queries(
             [rows, rng.choice(spare if len(spare) else every, size=short, replace=len(spare) < short)]
         )
     return np.concatenate(points)[rows], np.concatenate(inside)[rows]
+
+
+def _draw_targets(
+    shape: ShapeFile, transform: np.ndarray, frame: Frame, count: int, rng: np.random.Generator
+) -> np.ndarray:
+    """(count, 3) points of the surface in the cube, float32; all different where the shape stores as many."""
+    if count == 0:
+        return np.empty((0, 3), dtype=np.float32)
+    surface = shape.array("surface")
+    rows = rng.choice(len(surface), size=count, replace=len(surface) < count)
+    return _to_cube(surface[rows], transform, frame).astype(np.float32)
 
 
 def _to_cube(points: np.ndarray, transform: np.ndarray, frame: Frame) -> np.ndarray:

@@ -20,6 +20,8 @@ class TouchNet(nn.Module):
         sampling: "trilinear" (FI) or "addition" (FA); None keeps the configuration's.
     """
 
+    predicts = "occupancy"
+
     def __init__(self, config: ModelConfig | str = "base", *, sampling: str | None = None) -> None:
         super().__init__()
         if isinstance(config, str):
@@ -53,6 +55,11 @@ class TouchNet(nn.Module):
             nn.Linear(32, 1),
         )
         self.to(memory_format=torch.channels_last_3d)
+
+    @property
+    def uses_normals(self) -> bool:
+        """Whether contact normals change the result."""
+        return self.config.network != "paper" and self.config.use_normals
 
     def forward(self, touches: Tensor, queries: Tensor, normals: Tensor | None = None) -> Tensor:
         """Occupancy in [0, 1] at `queries`: 1 inside, 0 outside, the surface at 0.5.

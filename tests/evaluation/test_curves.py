@@ -1,0 +1,58 @@
+"""Which points lie on which curve."""
+
+import functools
+from pathlib import Path
+
+from touchnet.evaluation.curves import colours_of, curves_of, draw_curve
+from touchnet.evaluation.methods import Method, label_of
+from touchnet.evaluation.options import EvaluateConfig
+from touchnet.evaluation.summary import Setting, Summary
+
+METHODS = {
+    name: Method(name, lambda *arguments: None, (False,), files=(name,)) for name in ("hull", "fi@10", "fi@30", "other")
+}
+LABEL = functools.partial(label_of, METHODS)
+CONFIG = EvaluateConfig(data=Path(), contacts=(8, 16), curve_contacts=16, curves=("all",))
+
+
+def summary(method: str, value: float | None, contacts: int, noise=0.0, strategy="stored", orientation="given"):
+    setting = Setting(method, False, contacts, noise, strategy, orientation)
+    return Summary(setting, "mean", "iou", value, None, None, None, 1, 1, 0)
+
+
+def lines(summaries, shapes=None):
+    curves = curves_of(summaries, CONFIG, METHODS, LABEL, shapes or {})
+    return {curve.name: {k: [(p.x, p.value) for p in line] for k, line in curve.lines.items()} for curve in curves}
+
+
+def test_each_curve_varies_one_thing() -> None:
+    found = lines([
+        summary("hull", 0.8, 16), summary("hull", 0.5, 8), summary("hull", 0.7, 16, noise=0.02),
+        summary("hull", 0.75, 16, noise=0.01), summary("hull", 0.6, 16, strategy="uniform"),
+        summary("hull", 0.65, 16, orientation="up"), summary("hull", 0.1, 32, noise=0.5),
+    ])  # fmt: skip
+    assert found["contacts"] == {"hull": [(8, 0.5), (16, 0.8)]}
+    assert found["noise"] == {"hull": [(0.0, 0.8), (1.0, 0.75), (2.0, 0.7)]}
+    assert found["strategy"] == {"hull": [("stored", 0.8), ("uniform", 0.6)]}
+    assert found["orientation"] == {"hull": [("given", 0.8), ("up", 0.65)]}
+    assert "training shapes" not in found
+
+
+def test_networks_of_one_family_make_a_curve_over_training_shapes() -> None:
+    summaries = [summary("fi@30", 0.6, 16), summary("fi@10", 0.4, 16), summary("other", 0.9, 16)]
+    found = lines(summaries, {"fi@10": 10, "fi@30": 30, "other": 50})
+    assert found == {"training shapes": {"fi": [(10, 0.4), (30, 0.6)]}}
+
+
+def test_what_was_not_varied_is_no_curve_and_empty_results_leave_a_gap() -> None:
+    assert lines([summary("hull", 0.8, 16)]) == {}
+    found = lines([summary("hull", 0.8, 16), summary("hull", 0.9, 32), summary("hull", None, 8)])
+    assert found["contacts"] == {"hull": [(16, 0.8), (32, 0.9)]}
+
+
+def test_a_drawing_is_the_same_svg_every_time() -> None:
+    curves = curves_of([summary("hull", 0.8, 16), summary("hull", 0.5, 8)], CONFIG, METHODS, LABEL, {})
+    colours = colours_of(curves)
+    assert set(colours) == {"hull"}
+    first = draw_curve(curves[0], colours)
+    assert first.startswith(b"<?xml") and first == draw_curve(curves[0], colours)
