@@ -10,10 +10,11 @@ import pytest
 import torch
 from PIL import Image
 
+from tests.browser import open_page
 from tests.solids import TOUCHES, write_solids
 from touchnet import evaluate as command
 from touchnet.baselines import convex_hull
-from touchnet.config import MODELS
+from touchnet.config import MODELS, PointNet2Config
 from touchnet.evaluate import evaluate, main
 from touchnet.evaluation import measure, methods, progress
 from touchnet.evaluation.conditions import TRUTH
@@ -22,7 +23,7 @@ from touchnet.evaluation.methods import Method
 from touchnet.evaluation.options import EvaluateConfig
 from touchnet.evaluation.pictures import TILE
 from touchnet.evaluation.tables import as_text
-from touchnet.models import TouchNet
+from touchnet.models import PointNet2, TouchNet
 from touchnet.weights import save_weights
 
 
@@ -209,3 +210,49 @@ def test_a_picture_after_resume_shows_every_method(data: Path, tmp_path: Path, c
     assert [row["method"] for row in results(tmp_path)] == ["convex_hull", "model", TRUTH]
     lines = (tmp_path / "progress.jsonl").read_text().splitlines()
     assert len(lines) == 1 + 3  # the hull was computed again for the picture, and not written again
+
+
+def test_points_are_scored_where_they_can_be(data: Path, tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    small = PointNet2Config(points=64, copies=2, noise=4, width=8, centres=(16, 4), radii=(0.5, 1), neighbours=8)
+    for seed in (0, 1):
+        network = PointNet2(small).eval()
+        torch.nn.init.normal_(network.displacement[-1].weight, std=0.002 * (seed + 1))  # points near the touches
+        save_weights(network, tmp_path / f"{seed}-box.safetensors")
+    files = ",".join(str(tmp_path / f"{seed}-{{category}}.safetensors") for seed in (0, 1))
+    asked = config(
+        data, tmp_path / "out", methods=(), models=(f"displaced={files}",), contacts=(TOUCHES,), trajectories=1,
+        categories=("box",), gallery=1,
+    )  # fmt: skip
+    done = evaluate(asked)
+    rows = [row for row in results(tmp_path / "out") if row["method"] == "displaced"]
+    assert [row["run"] for row in rows] == ["0", "1"] * 2 and len({row["weights"] for row in rows}) == 2
+    for row in rows:
+        assert row["iou"] == row["normal_consistency"] == row["watertight"] == "" and row["faces"] == "0"
+        assert row["empty"] == "0.0" and 0 < float(row["chamfer_l1"]) < 0.1 and float(row["paper_chamfer"]) > 0
+    measured = next(table for table in done.tables if table.title.startswith("protocol surface"))
+    assert "n/a" in next(line for line in measured.lines if line[1] == "displaced")
+    spread = next(s for s in done.summaries if s.measure == "chamfer_l1" and s.category == "mean" and s.spread)
+    assert spread.setting.method == "displaced"
+    with pytest.raises(FileNotFoundError, match=r"0-ball.safetensors"):
+        evaluate(dataclasses.replace(asked, categories=(), force=True))
+
+
+def test_the_report_of_a_whole_run_opens_in_a_browser(data: Path, tmp_path: Path) -> None:
+    asked = config(
+        data, tmp_path, contacts=(TOUCHES,), trajectories=1, limit=1, gallery=1, curves=("all",), curve_contacts=32,
+        curve_counts=(16, 32, 64), noises=(0.0, 0.02), strategies=("uniform",), orientations=("free",),
+    )  # fmt: skip
+    evaluate(asked)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert {curve["name"] for curve in report["curves"]} == {"contacts", "noise", "strategy", "orientation"}
+    turned = [s for s in report["summary"] if s["orientation"] == "free" and s["measure"] == "iou"]
+    given = {s["category"]: s["value"] for s in report["summary"] if s["contacts"] == 32 and s["measure"] == "iou"
+             and (s["noise"], s["strategy"], s["orientation"]) == (0.0, "stored", "given")}  # fmt: skip
+    for s in turned:  # the hull does not care how the object lies
+        assert s["value"] == pytest.approx(given[s["category"]], abs=1e-3)
+    with open_page(tmp_path / "report.html") as page:
+        page.check()
+        # Four curves of three measures; truth, touches, labelled, hull of two shapes; the exploration.
+        assert page.evaluate("document.images.length") == 4 * 3 + 2 * 4 + 1
+        assert page.evaluate("document.querySelectorAll('table.figures').length") == 4
