@@ -14,11 +14,11 @@ Action = Callable[[], object]
 
 @dataclass
 class Case:
-    """One comparison: `ours` and `peer` do the same work."""
+    """One comparison: `ours` and `peer` do the same work. Either may be seconds that were measured elsewhere."""
 
     name: str
-    ours: Action
-    peer: Action | None = None
+    ours: Action | float
+    peer: Action | float | None = None
     peer_name: str = ""
     target: float | None = None  # least ratio peer / ours asked for
     limit: Action | float | None = None  # what cannot be beaten: work to time, or seconds
@@ -72,30 +72,32 @@ def measure(case: Case, clock: str = "wall") -> Result:
     The clock "cpu" counts the processor time of all threads: fair on a busy machine, blind to what threads gain.
     """
     now = CLOCKS[clock]
-    limit = case.limit if callable(case.limit) else None
-    sides = [side for side in (case.ours, case.peer, limit) if side is not None]
+    sides = [side for side in (case.ours, case.peer, case.limit) if callable(side)]
     for side in sides:
         for _ in range(3):
             side()
-    times: dict[int, list[float]] = {i: [] for i in range(len(sides))}
+    times: dict[Action, list[float]] = {side: [] for side in sides}
     gc.collect()
     gc.disable()
     try:
         for _ in range(-(-case.repeats // ROUND)):
-            for i, side in enumerate(sides):
+            for side in sides:
                 for _ in range(ROUND):
                     start = now()
                     side()
-                    times[i].append(now() - start)
+                    times[side].append(now() - start)
     finally:
         gc.enable()
-    medians = [statistics.median(times[i]) for i in range(len(sides))]
+
+    def seconds(side: Action | float | None) -> float | None:
+        return statistics.median(times[side]) if callable(side) else side
+
     return Result(
         name=case.name,
-        ours=medians[0],
-        peer=medians[1] if case.peer else None,
+        ours=seconds(case.ours),
+        peer=seconds(case.peer),
         peer_name=case.peer_name,
-        limit=medians[-1] if limit else case.limit,
+        limit=seconds(case.limit),
         limit_name=case.limit_name,
         target=case.target,
         repeats=case.repeats,
