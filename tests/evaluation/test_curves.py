@@ -30,11 +30,12 @@ def test_each_curve_varies_one_thing() -> None:
         summary("hull", 0.8, 16), summary("hull", 0.5, 8), summary("hull", 0.7, 16, noise=0.02),
         summary("hull", 0.75, 16, noise=0.01), summary("hull", 0.6, 16, strategy="uniform"),
         summary("hull", 0.65, 16, orientation="up"), summary("hull", 0.1, 32, noise=0.5),
+        summary("hull", 0.3, 16, orientation="free"),
     ])  # fmt: skip
     assert found["contacts"] == {"hull": [(8, 0.5), (16, 0.8)]}
     assert found["noise"] == {"hull": [(0.0, 0.8), (1.0, 0.75), (2.0, 0.7)]}
     assert found["strategy"] == {"hull": [("stored", 0.8), ("uniform", 0.6)]}
-    assert found["orientation"] == {"hull": [("given", 0.8), ("up", 0.65)]}
+    assert found["orientation"] == {"hull": [("given", 0.8), ("up", 0.65), ("free", 0.3)]}
     assert "training shapes" not in found
 
 

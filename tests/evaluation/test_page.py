@@ -23,7 +23,7 @@ def report(tmp_path: Path) -> Path:
     write_page(
         path,
         title="Made <here>",
-        facts={"command": "touchnet evaluate DATA & more"},
+        facts={"command": "touchnet evaluate DATA & more" + 60 * " --option"},
         tables=[Table("IoU", ["contacts", "method", "mean"], [["8", "hull", "0.500"], ["16", "hull", "n/a"]])],
         curves=[Curve("contacts", "contacts", "iou", "mean", {"hull": points, "other": points[:1]})],
         rows=[Row("ball/round", ["truth", "hull", "failed"], [picture, picture, None])],
@@ -52,6 +52,7 @@ def test_the_page_shows_everything_without_a_network(report: Path) -> None:
         ):
             assert words in said
         assert page.screenshot(whole=True).std() > 5
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
 
 
 def test_a_missing_picture_is_noticed(report: Path) -> None:

@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from touchnet.evaluation.conditions import GIVEN, STORED, TRUTH, Condition
+from touchnet.evaluation.conditions import GIVEN, ORIENTATIONS, STORED, STRATEGIES, TRUTH, Condition
 from touchnet.evaluation.methods import Method
 from touchnet.evaluation.options import EvaluateConfig
 from touchnet.evaluation.summary import MEAN, SEEN, UNSEEN, Summary
@@ -83,7 +83,7 @@ def curves_of(
             curves.append(Curve("training shapes", "training shapes", measure, part, trained))
     for curve in curves:
         for points in curve.lines.values():
-            points.sort(key=lambda point: _order(curve.name, point.x))
+            points.sort(key=lambda point: _order(point.x))
     return [curve for curve in curves if any(len(points) > 1 for points in curve.lines.values())]
 
 
@@ -122,8 +122,9 @@ def _family(method: str, methods: Mapping[str, Method]) -> str | None:
     return family if at and method in methods else None
 
 
-def _order(name: str, x: float | str) -> tuple[int, float | str]:
-    return (0, 0.0) if x in (STORED, GIVEN) else (1, x)
+def _order(x: float | str) -> float:
+    """Where a place comes: named ones from what is usual on."""
+    return (STORED, GIVEN, "gp", *STRATEGIES, *ORIENTATIONS).index(x) if isinstance(x, str) else x
 
 
 def training_shapes(methods: Mapping[str, Method], category: str) -> dict[str, int]:
@@ -155,7 +156,7 @@ def draw_curve(curve: Curve, colours: Mapping[str, tuple[str, str]]) -> bytes:
     axes = figure.add_subplot()
     places = list(dict.fromkeys(point.x for points in curve.lines.values() for point in points))
     named = any(isinstance(place, str) for place in places)
-    places.sort(key=lambda place: _order(curve.name, place))
+    places.sort(key=_order)
     for label, points in curve.lines.items():
         colour, mark = colours[label]
         x = [places.index(point.x) if named else point.x for point in points]

@@ -27,6 +27,7 @@ nav a { margin-right: 1rem; } code { font-size: .85em; overflow-wrap: anywhere; 
 .wide { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .85rem; }
 th, td { padding: .25rem .6rem; text-align: right; white-space: nowrap; border-bottom: 1px solid var(--line); }
 th { background: var(--head); font-weight: 600; } th:nth-child(2), td:nth-child(2) { text-align: left; }
+.facts td { text-align: left; white-space: normal; }
 tr.new td { border-top: 2px solid var(--soft); }
 .curves { display: grid; grid-template-columns: repeat(auto-fill, minmax(22rem, 1fr)); gap: 1rem; }
 figure { margin: 0; } figcaption { font-size: .8rem; color: var(--soft); } .curves img { width: 100%; }
@@ -60,7 +61,7 @@ def write_page(
     parts = [f"<h1>{escape(title)}</h1>"]
     sections = {"tables": "Tables", "curves": "Curves", "gallery": "Gallery", "definitions": "Definitions"}
     parts.append("<nav>" + "".join(f'<a href="#{key}">{name}</a>' for key, name in sections.items()) + "</nav>")
-    parts.append("<table>")
+    parts.append('<table class="facts">')
     parts += [f"<tr><th>{escape(name)}</th><td><code>{escape(text)}</code></td></tr>" for name, text in facts.items()]
     parts.append("</table>")
     parts.append('<h2 id="tables">Tables</h2>')
