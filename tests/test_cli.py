@@ -1,5 +1,6 @@
 import dataclasses
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -109,6 +110,20 @@ def test_help_is_status_0(capsys):
     status = cli.command("touchnet try")(lambda argv: cli.parse(Options, argv, prog="touchnet try"))(["--help"])
     assert status == 0
     assert "Words for --help." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_of_every_command_is_complete(name, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    assert touchnet_main([name, "--help"]) == 0
+    out = capsys.readouterr().out
+    assert f"usage: touchnet {name}" in out
+    pairs = re.findall(r"(--[a-z-]+), --no-", out)
+    assert pairs == [], "a flag has one name"
+    # Each option stands beside words on what it does, before its default.
+    for line in out.splitlines():
+        if line.startswith("│ -") and "(default:" in line:
+            assert re.search(r"[a-z]{3,}.*\. ?\(default:", line), line
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")

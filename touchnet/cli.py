@@ -79,13 +79,21 @@ def command(name: str) -> Callable[[Callable[[Sequence[str] | None], int | None]
     return decorate
 
 
-def parse(options_type: Callable[..., T], argv: Sequence[str] | None, *, prog: str, **options: Any) -> T:
+def parse(
+    options_type: Callable[..., T],
+    argv: Sequence[str] | None,
+    *,
+    prog: str,
+    config: Sequence[Any] = (),
+    **options: Any,
+) -> T:
     """`tyro.cli` whose complaints are one line on stderr, followed by exit status 2.
 
     Args:
         options_type: the dataclass (or annotated callable) that describes the options.
         argv: the arguments, `None` for those of the process.
         prog: the name shown in usage and messages.
+        config: markers of tyro, beside ours.
         options: passed on to `tyro.cli`.
 
     Raises:
@@ -94,7 +102,9 @@ def parse(options_type: Callable[..., T], argv: Sequence[str] | None, *, prog: s
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
-            return tyro.cli(options_type, args=argv, prog=prog, **options)
+            # A flag has one name: --force, without --no-force beside it.
+            config = (tyro.conf.FlagCreatePairsOff, *config)
+            return tyro.cli(options_type, args=argv, prog=prog, config=config, **options)
     except SystemExit as leave:
         if not leave.code:
             raise
