@@ -268,6 +268,19 @@ def test_text_errors_are_one_line_and_say_where(tmp_path, text, message):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.xyz", b"0\x1c"),  # control characters that Python counts as white space
+        ("a.xyz", b"\x1f4\n1 2 3\n"),
+        ("a.npz", lambda: zip_of(**{"point\n_npy": b"PICKLE"})),
+        ("a.npz", lambda: zip_of(**{"point\n_npy": npy(XYZ[:, :2])})),
+    ],
+)
+def test_what_fuzzing_found(tmp_path, name, content):
+    read_or_refuse(write(tmp_path, name, content if isinstance(content, bytes) else content()))
+
+
 def test_a_header_without_x_y_z(tmp_path):
     path = write(tmp_path, "touches.csv", "a,b,c\n" + rows(XYZ, ","))
     with pytest.warns(UserWarning, match="does not name x, y and z among 3 columns: columns 1-3 are taken"):

@@ -85,14 +85,15 @@ def parse_npz(data: bytes, name: str, strict: bool) -> Raw:
 
     def read(key: str) -> np.ndarray:
         info = members[key]
+        label = f"{name}[{excerpt(key)[1:-1]}]"  # whatever the name of a member, the message is one line
         try:
             with archive.open(info) as file:
                 content = file.read(info.file_size + 1)
         except Exception as error:  # zlib, lzma, bz2 and zipfile each have their own
-            raise ValueError(f"{name}[{key}]: cannot be unpacked ({error})") from None
+            raise ValueError(f"{label}: cannot be unpacked ({error})") from None
         if not content.startswith(b"\x93NUMPY"):
-            raise ValueError(f"{name}[{key}]: expected an NPY array, found {content[:12]!r}")
-        return _read_npy(content, f"{name}[{key}]")
+            raise ValueError(f"{label}: expected an NPY array, found {content[:12]!r}")
+        return _read_npy(content, label)
 
     found = [key for key in ("points", "touches", "xyz", "positions", "vertices") if key in members]
     if not found and len(members) == 1:
@@ -102,7 +103,7 @@ def parse_npz(data: bytes, name: str, strict: bool) -> Raw:
         raise ValueError(f"{name}: expected an array named points, found {names}")
     read_ones = {found[0], "normals", "strokes"} & set(members)
     check_expansion(sum(members[key].file_size for key in read_ones), len(data), name)
-    raw = _as_points(read(found[0]), f"{name}[{found[0]}]", strict)
+    raw = _as_points(read(found[0]), f"{name}[{excerpt(found[0])[1:-1]}]", strict)
     if "normals" in members:
         normals = read("normals")
         if normals.shape != raw.points.shape or normals.dtype.kind not in "fiu":

@@ -111,7 +111,7 @@ def parse_text(data: bytes, name: str, suffix: str, strict: bool) -> Raw:
             if dialect is not None:
                 break
             if not headers and announced is None and re.fullmatch(r"\d{1,15}", bare.strip()):
-                announced = int(bare)
+                announced = int(bare.strip())
             elif not any(_is_number(word) for word in re.split(r"[\s,;|]+", bare) if word):
                 headers.append(line)
             else:
