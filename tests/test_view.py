@@ -1,8 +1,10 @@
 """The page of `touchnet view`, in a real browser, and the command and server behind it."""
 
+import functools
 import gzip
 import json
 import queue
+import signal
 import subprocess
 import sys
 import threading
@@ -556,13 +558,20 @@ def test_the_command_serves_until_it_is_interrupted(here):
     touches = table("t.csv", strokes_on_a_sphere())
     write_mesh("mesh.ply", sphere())
     command = [sys.executable, "-m", "touchnet.view", touches, "mesh.ply", "--no-open"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    # Tests started in the background ignore SIGINT, and so would the command.
+    listening = functools.partial(signal.signal, signal.SIGINT, signal.default_int_handler)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(command, preexec_fn=listening, **pipes)
+    try:
         address = process.stdout.readline().split()[0]
         assert address.startswith("http://localhost:")
         with open_page(address) as page:
             page.wait_for(READY)
             page.check()
             assert "mesh.ply" in facts(page)
-        process.send_signal(2)
+        process.send_signal(signal.SIGINT)
         assert process.communicate(timeout=30) == ("", "")
         assert process.returncode == 0
+    finally:
+        process.kill()
+        process.communicate()
