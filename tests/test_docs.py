@@ -65,6 +65,9 @@ SMALLER = {  # values that make a command slow, and what stands in for them
     "--epochs": "1",
     "--shapes": "3",
     "--recipe": None,
+    "--minutes": None,
+    "--model": "tiny",
+    "--minutes": None,  # --steps stands in
 }
 
 
