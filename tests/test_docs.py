@@ -67,7 +67,6 @@ SMALLER = {  # values that make a command slow, and what stands in for them
     "--recipe": None,
     "--minutes": None,
     "--model": "tiny",
-    "--minutes": None,  # --steps stands in
 }
 
 
