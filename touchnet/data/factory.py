@@ -241,7 +241,7 @@ def _touch(
     streams = _seeds(source, seed, 3 + parameters.trajectories)[3 + first :]
     surface = Surface(mesh)
     runs = [
-        simulate_touches(surface, parameters.touches, seed=int(stream.generate_state(1, np.uint64)[0] >> 1))
+        simulate_touches(surface, parameters.touches, seed=int(stream.generate_state(1, np.uint64)[0]) >> 1)
         for stream in streams
     ]
     shape = (len(runs), parameters.touches)

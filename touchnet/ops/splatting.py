@@ -1,6 +1,6 @@
 """Points into a volume and back: gridding, gridding_reverse."""
 
-from collections.abc import Sequence
+from typing import Sequence  # noqa: UP035 - torch 2.4 knows no other in the signature of an operator
 
 import torch
 from torch import Tensor
