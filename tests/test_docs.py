@@ -36,7 +36,7 @@ NOT_RUN = {
     "make demo": "ten minutes; tests/test_examples.py runs its script on smaller shapes",
     "make test": "is what runs this test",
     "make lint": "is run by CI beside the tests",
-    "pip install .": "tests/test_build.py builds and runs the wheel",
+    "pip install .": "builds for a minute and downloads; CI installs the package before it runs the tests",
     "torchrun": "several processes; tests/test_train.py trains with them",
     "accelerate launch": "several processes; tests/test_train.py trains with them",
     "python -m benchmarks": "measures for minutes; it needs a quiet machine or real data",
