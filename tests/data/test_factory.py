@@ -216,6 +216,7 @@ def test_other_parameters_need_overwrite(tmp_path):
     build(SOURCES[1:2], tmp_path, other, overwrite=True, progress=False)
     assert read_index(tmp_path).parameters["near"] == 100
     assert [record.id for record in TouchDataset(tmp_path).records] == ["box/flat"]
+    assert verify(tmp_path) == []  # no file of the set that was replaced stays behind
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

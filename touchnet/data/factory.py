@@ -310,7 +310,7 @@ def _check(sources: Sequence[MeshSource]) -> None:
 
 
 def _existing(directory: Path, parameters: Parameters, seed: int, overwrite: bool) -> list[ShapeRecord]:
-    """The shapes listed in a data set that may be completed."""
+    """The shapes listed in a data set that may be completed; those of one to be replaced are removed."""
     if not (directory / INDEX).exists():
         return []
     index = read_index(directory)
@@ -329,6 +329,8 @@ def _existing(directory: Path, parameters: Parameters, seed: int, overwrite: boo
         raise ValueError(
             f"{directory} holds a data set made with {'; '.join(other)}: choose another folder or overwrite"
         )
+    for record in index.shapes:
+        (directory / record.file).unlink(missing_ok=True)
     return []
 
 
