@@ -237,6 +237,15 @@ def test_contacts_far_from_the_surface_earn_a_warning():
         reconstruct_mesh(np.random.default_rng(0).uniform(-1, 1, size=(500, 3)), weights=Ball(), resolution=32)
 
 
+def test_normals_that_point_inwards_earn_a_warning():
+    points = sphere(300)
+    reconstruct_mesh(points + 5, normals=points, weights=Ball(), resolution=32)
+    with pytest.warns(UserWarning, match="seem to point into the object"):
+        reconstruct_mesh(points + 5, normals=-points, weights=Ball(), resolution=32)
+    with pytest.warns(UserWarning, match="seem to point into the object"):
+        reconstruct_mesh(points + 5, normals=-points * (points[:, :1] > 0), weights=Ball(), resolution=32)
+
+
 def test_contacts_in_a_plane_earn_a_warning():
     points = sphere(100) * [1, 1, 0] + [0, 0, 5]
     with pytest.warns(UserWarning) as said:

@@ -44,6 +44,7 @@ MIN_DISTINCT = 4  # fewer points bound no solid
 MAX_TOUCHES = 8192  # four times what models are trained with; more contacts are thinned
 REFIT = 1.25  # how much larger the cube gets when the surface meets its faces
 FLAT = 1e-3  # extent across, as a share of the extent along, below which contacts are a line or a plane
+INWARD = 0.2  # how far into the object normals point on the whole, of 1 for those of a ball, that earns a warning
 FAR = 0.03  # distance of contacts from the surface, as a share of the longest side, that earns a warning
 CHUNK = 1 << 17  # queries a batch: their features take about 100 MB
 
@@ -96,7 +97,8 @@ def reconstruct_mesh(
             do not fit; coordinates too far from the origin for float64.
 
     Warns:
-        UserWarning: outliers left out, contacts in a plane, a surface that meets the cube or is far from the contacts.
+        UserWarning: outliers left out, contacts in a plane, normals that point inwards, a surface that meets the cube
+            or is far from the contacts.
     """
     return reconstruct_with_field(
         points,
@@ -151,6 +153,8 @@ def reconstruct_with_field(
         points = points[~outliers]
         directions = None if directions is None else directions[~outliers]
     _check_spread(points)
+    if directions is not None:
+        _check_outward(points, directions)
     frame = Frame.fit(points, reject_outliers=False)
     if len(points) > max_touches:
         kept = thin(points, max_touches)
@@ -361,6 +365,18 @@ def check_contacts(points: np.ndarray, normals: np.ndarray | None) -> tuple[np.n
         raise ValueError("normals should be finite, with a row of zeros where one is not known")
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return points, normals / np.where(lengths > 0, lengths, 1.0)
+
+
+def _check_outward(points: np.ndarray, directions: np.ndarray) -> None:
+    """Warns of normals that point inwards: around a solid they mostly point away from the middle."""
+    from_middle = points - points.mean(axis=0)
+    outward = (from_middle * directions).sum()
+    if outward < -INWARD * np.linalg.norm(from_middle[directions.any(axis=1)], axis=1).sum():
+        warnings.warn(
+            "the contact normals seem to point into the object; they should point outwards, so turn them around "
+            "unless only the inside of a hollow was touched",
+            stacklevel=4,
+        )
 
 
 def _check_spread(points: np.ndarray) -> None:
