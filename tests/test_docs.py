@@ -5,6 +5,7 @@ here is listed in NOT_RUN, with the reason.
 """
 
 import dataclasses
+import importlib.util
 import json
 import os
 import re
@@ -301,6 +302,9 @@ def quick(words: list[str]) -> list[str]:
             rest[at:stop] = [option, small] if small is not None else []
     if name == "simulate" and "--verify" in rest:
         return words
+    if "--methods" in rest and "all" in rest and importlib.util.find_spec("pymeshlab") is None:
+        at = rest.index("all")
+        rest[at : at + 1] = ["model", "convex_hull", "alpha_shape", "gpis"]  # all but those of the extra [baselines]
     options = iter(re.findall(r"(--\S+)((?: (?!--)\S+)*)", QUICK[name]))
     taken = {"--save": "-o", "--force": "-f"}
     for option, values in options:
