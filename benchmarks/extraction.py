@@ -275,7 +275,9 @@ def head_queries() -> Iterator[Case]:
             return torch.cat(found)
 
         query = HeadQuery(volumes, head)
+        buffered = HeadQuery(volumes, head, compiled=False)
         sides = (
+            ("torch in buffers", lambda buffered=buffered: buffered(points)),
             ("nn.Linear", plain),
             ("convolutions of size 1", convolved),
             ("bfloat16", lambda plain=plain: plain(dtype=torch.bfloat16)),

@@ -4,6 +4,7 @@
 
 #include "closest_point.h"
 #include "gp.h"
+#include "head.h"
 #include "marching_cubes.h"
 #include "octree.h"
 #include "parallel.h"
@@ -81,6 +82,30 @@ PYBIND11_MODULE(_C, m) {
 #ifdef TOUCHNET_WITH_CUDA
   touchnet::cuda::define_volume_ops(m);
 #endif
+
+  // The occupancy head: sampling and MLP in one pass.
+  using touchnet::Head;
+  py::class_<Head>(m, "Head")
+      .def(
+          py::init([](const std::vector<std::tuple<Address, touchnet::VolumeExtents, touchnet::VolumeExtents>>& volumes,
+                      bool trilinear) {
+            std::vector<touchnet::HeadVolume> read;
+            for (const auto& [values, shape, strides] : volumes)
+              read.push_back({at<const float>(values), touchnet::volume_shape(shape, strides)});
+            return new Head(std::move(read),
+                            trilinear ? &touchnet::trilinear_forward<float> : &touchnet::addition_forward<float>);
+          }))
+      .def("add_layer",
+           [](Head& head, Address weight, Address bias, std::int64_t inputs, std::int64_t outputs) {
+             head.add_layer(at<const float>(weight), at<const float>(bias), inputs, outputs);
+           })
+      .def(
+          "query",
+          [](const Head& head, Address points, std::int64_t n, Address values, int threads) {
+            head.query(at<const float>(points), n, at<float>(values), threads);
+          },
+          Unlocked())
+      .def_static("is_supported", &Head::is_supported);
 
   // Exploration: closest points on the mesh, Gaussian process of the contacts (touchnet/data).
   py::class_<touchnet::TriangleTree>(m, "TriangleTree")

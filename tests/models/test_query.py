@@ -9,6 +9,7 @@ from torch import nn
 from touchnet import ops
 from touchnet.models.query import HeadQuery
 from touchnet.ops import octree_marching_cubes
+from touchnet.ops.head import CompiledHead
 
 
 def make(channels=(16, 8, 4), sizes=(8, 5, 3), seed=0):
@@ -30,23 +31,74 @@ def make(channels=(16, 8, 4), sizes=(8, 5, 3), seed=0):
 
 @pytest.mark.parametrize("count", [0, 1, 99, 100, 101, 250])
 @pytest.mark.parametrize("sample", [ops.trilinear_sample, ops.addition_sample], ids=["FI", "FA"])
-def test_equals_the_plain_formula(count, sample):
+@pytest.mark.parametrize("compiled", [True, False])
+def test_equals_the_plain_formula(count, sample, compiled):
     volumes, head = make()
     points = torch.rand(count, 3, generator=torch.Generator().manual_seed(1)) * 2.2 - 1.1
     with torch.no_grad():
         expected = head(torch.cat([sample(volume, points[None]) for volume in volumes], 2))[0, :, 0]
-    logits = HeadQuery(volumes, head, sample=sample, sigmoid=False, chunk=100)(points)
+    logits = HeadQuery(volumes, head, sample=sample, sigmoid=False, chunk=100, compiled=compiled)(points)
     largest = expected.abs().max().item() if count else 0
     torch.testing.assert_close(logits, expected, rtol=0, atol=2e-6 * largest + 1e-12)
-    torch.testing.assert_close(HeadQuery(volumes, head, sample=sample)(points), expected.sigmoid(), rtol=0, atol=2e-6)
+    occupancy = HeadQuery(volumes, head, sample=sample, compiled=compiled)(points)
+    torch.testing.assert_close(occupancy, expected.sigmoid(), rtol=0, atol=2e-6)
+
+
+@pytest.mark.skipif(not CompiledHead.is_supported(), reason="no AVX2")
+@pytest.mark.parametrize("widths", [(3, 1), (1, 5, 1), (7, 130, 6, 1)])
+def test_compiled_widths_that_do_not_fill_a_register_block(widths):
+    generator = torch.Generator().manual_seed(0)
+    volume = torch.randn(1, 5, 4, 3, 6, generator=generator)  # channels first, not a cube
+    sizes = (5, *widths)
+    head = nn.Sequential(*[m for n, k in pairwise(sizes) for m in (nn.Linear(n, k), nn.ReLU())][:-1])
+    points = torch.rand(101, 3, generator=generator) * 2.2 - 1.1
+    with torch.no_grad():
+        expected = head(ops.trilinear_sample(volume, points[None]))[0, :, 0]
+    found = HeadQuery([volume], head, sigmoid=False)(points)
+    torch.testing.assert_close(found, expected, rtol=0, atol=2e-6 * expected.abs().max().item())
+
+
+@pytest.mark.skipif(not CompiledHead.is_supported(), reason="no AVX2")
+def test_compiled_values_depend_on_the_point_alone():
+    query = HeadQuery(*make(), sigmoid=False)
+    points = torch.rand(20_000, 3, generator=torch.Generator().manual_seed(2)) * 2 - 1
+    values = query(points)
+    threads = torch.get_num_threads()
+    try:
+        torch.set_num_threads(1)
+        assert torch.equal(query(points), values)
+    finally:
+        torch.set_num_threads(threads)
+    assert torch.equal(query(points[1234:1301]), values[1234:1301])
+    assert torch.equal(query(points.double()[::2]), values[::2])
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_point_that_is_not_finite_has_no_value(compiled):
+    points = torch.tensor([[0.1, 0.2, 0.3], [0.1, float("nan"), 0.3], [float("inf"), 0.0, 0.0], [0.3, 0.2, 0.1]])
+    values = HeadQuery(*make(), compiled=compiled)(points)
+    assert values.isnan().tolist() == [False, True, True, False]
+
+
+@pytest.mark.skipif(not CompiledHead.is_supported(), reason="no AVX2")
+def test_compiled_octree_equals_dense_with_a_network():
+    query = HeadQuery(*make(), sigmoid=False)
+    axis = torch.linspace(-1, 1, 33)
+    points = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+    volume = query(points).reshape(33, 33, 33)
+    level = volume.median().item()
+    dense = ops.marching_cubes(volume, level)
+    octree = octree_marching_cubes(query, resolution=32, level=level, coarse=32)
+    assert sorted(map(tuple, dense[0].tolist())) == sorted(map(tuple, octree[0].tolist()))
+    assert len(dense[1]) == len(octree[1])
 
 
 def test_buffers_are_kept_and_results_are_not():
-    query = HeadQuery(*make(), chunk=50)
+    query = HeadQuery(*make(), chunk=50, compiled=False)
     points = torch.zeros(120, 3)
-    buffers = [t.data_ptr() for t in (*query.samples, *query.hidden)]
+    buffers = [t.data_ptr() for t in (*query.compute.samples, *query.compute.hidden)]
     first, second = query(points), query(points + 0.5)
-    assert buffers == [t.data_ptr() for t in (*query.samples, *query.hidden)]
+    assert buffers == [t.data_ptr() for t in (*query.compute.samples, *query.compute.hidden)]
     assert torch.equal(first, query(points)) and not torch.equal(first, second)
 
 
