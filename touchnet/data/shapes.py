@@ -1,4 +1,4 @@
-"""Procedural bottles, airplanes and cars: closed meshes out of seeded numbers, y up as in real collections.
+"""Procedural bottles, airplanes, cars and simple solids: closed meshes out of seeded numbers, y up as real ones are.
 
 A shape is the union of simple solids, each a field that is positive inside and about the distance to its surface there,
 evaluated on a grid around the part only; marching cubes makes one closed mesh of the whole.
@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -20,7 +21,7 @@ from touchnet.data.dataset import TouchDataset
 from touchnet.data.factory import MeshSource, Parameters, build
 from touchnet.ops import marching_cubes
 
-CATEGORIES = ("airplane", "bottle", "car")
+CATEGORIES = ("airplane", "bottle", "car", "solid")
 
 # Raised when the same seed comes to mean another shape.
 EDITION = 1
@@ -31,10 +32,10 @@ Vector = Sequence[float]
 
 
 def procedural_mesh(category: str, seed: int, *, resolution: int = 128) -> trimesh.Trimesh:
-    """A closed bottle, airplane or car (y up, longest side 1, centred) that depends on the seed alone.
+    """A closed bottle, airplane, car or simple solid (y up, longest side 1, centred) that depends on the seed alone.
 
     Args:
-        category: "airplane", "bottle" or "car".
+        category: "airplane", "bottle", "car" or "solid" (up to four balls, boxes, cylinders, cones and rings in one).
         seed: ≥ 0; every seed gives another shape.
         resolution: grid cells along the longest side; the thinnest parts are 2 % of it thick.
 
@@ -46,7 +47,7 @@ def procedural_mesh(category: str, seed: int, *, resolution: int = 128) -> trime
     if resolution < 48:
         raise ValueError(f"resolution should be ≥ 48 to keep thin parts, got {resolution}")
     rng = np.random.default_rng([EDITION, CATEGORIES.index(category), seed])
-    solid = {"airplane": _airplane, "bottle": _bottle, "car": _car}[category](rng, resolution)
+    solid = {"airplane": _airplane, "bottle": _bottle, "car": _car, "solid": _simple_solid}[category](rng, resolution)
     return solid.mesh()
 
 
@@ -56,8 +57,9 @@ def procedural_sources(shapes: int, *, seed: int = 0, shares: tuple[float, float
         raise ValueError(f"shapes should be ≥ 0, got {shapes}")
     sources = []
     for i in range(shapes):
-        category, number = CATEGORIES[i % 3], i // 3
-        of_category = (shapes - i % 3 + 2) // 3
+        kinds = len(CATEGORIES)
+        category, number = CATEGORIES[i % kinds], i // kinds
+        of_category = (shapes - i % kinds + kinds - 1) // kinds
         val, test = (math.ceil(share * of_category) if of_category > 4 else 0 for share in shares)
         split = "test" if number >= of_category - test else "val" if number >= of_category - test - val else "train"
         load = functools.partial(procedural_mesh, category, seed * 1_000_003 + number)
@@ -78,7 +80,7 @@ def build_procedural(
     jobs: int = 1,
     progress: bool = True,
 ) -> TouchDataset:
-    """The embedded data set: `shapes` procedural bottles, airplanes and cars, made in `directory` or completed there.
+    """The embedded data set: `shapes` procedural shapes of all categories, made in `directory` or completed there.
 
     A directory that holds them already is read and left as it is. See `touchnet.data.factory.build`.
     """
@@ -999,3 +1001,88 @@ def _formula(rng: np.random.Generator, resolution: int) -> _Solid:
     solid.add(*_capsule((-0.4, body_y, 0), (-0.46, top, 0), 0.014))
     solid.add(*_capsule((-0.25, body_y, 0), (-0.44, body_y, 0), 0.03, 0.02))
     return solid
+
+
+# --- simple solids ------------------------------------------------------------------------------------------------
+
+
+class _Piece(NamedTuple):
+    """A primitive in its own axes, and a ball around its origin that it lies in."""
+
+    field: Field
+    reach: float
+
+
+def _primitive(rng: np.random.Generator, size: float) -> _Piece:
+    """A ball, box, cylinder, cone or ring whose half extents are about `size`, none less than 0.3 of it."""
+    kind = rng.choice(["ball", "box", "cylinder", "cone", "ring"], p=[0.2, 0.35, 0.2, 0.1, 0.15])
+    a, b, c = (size * rng.uniform(0.3, 1.0, size=3) ** 0.7).astype(np.float32)
+    rounding = 0.6 * min(a, b, c) * rng.random() ** 3
+
+    if kind == "ball":
+        least = min(a, b, c)
+        return _Piece(lambda x, y, z: (1 - np.sqrt((x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2)) * least, max(a, b, c))
+    if kind == "box":
+        return _Piece(_box((0, 0, 0), (a, b, c), rounding)[0], math.hypot(a, b, c))
+    if kind == "cylinder":
+        return _Piece(_cylinder((0, 0, 0), 1, a, b, rounding)[0], math.hypot(a, b))
+    if kind == "cone":
+        top = a * rng.uniform(0.0, 0.6)
+
+        def cone(x: Array, y: Array, z: Array) -> Array:
+            radius = a + (top - a) * (y / b + 1) / 2
+            return np.minimum(radius - np.sqrt(x * x + z * z), b - np.abs(y))
+
+        return _Piece(cone, math.hypot(a, b))
+    tube = max(0.25 * a, 0.2 * size)
+
+    def ring(x: Array, y: Array, z: Array) -> Array:
+        return tube - np.sqrt((np.sqrt(x * x + z * z) - a) ** 2 + y * y)
+
+    return _Piece(ring, a + tube)
+
+
+def _simple_solid(rng: np.random.Generator, resolution: int) -> _Solid:
+    """Up to four primitives grown into each other, turned at random or along the axes; some with a hole or a notch."""
+    count = rng.choice([1, 2, 3, 4], p=[0.35, 0.3, 0.2, 0.15])
+    upright = rng.random() < 0.6
+    placed: list[tuple[Field, np.ndarray, float]] = []
+    for n in range(count):
+        size = 0.5 if n == 0 else rng.uniform(0.25, 0.5)
+        piece = _primitive(rng, size)
+        centre = np.zeros(3)
+        if n:
+            _, near, reach = placed[rng.integers(n)]
+            away = rng.normal(size=3)
+            centre = near + away / np.linalg.norm(away) * rng.uniform(0.3, 0.8) * reach
+        placed.append((_turned(piece.field, centre, _turn(rng, upright)), centre, piece.reach))
+    low = np.min([centre - reach for _, centre, reach in placed], axis=0)
+    high = np.max([centre + reach for _, centre, reach in placed], axis=0)
+    solid = _Solid(low - 0.02, high + 0.02, resolution)
+    blend = 0.05 * rng.random() if rng.random() < 0.5 else 0.0
+    for field, centre, reach in placed:
+        solid.add(field, centre - reach, centre + reach, blend=blend)
+    if rng.random() < 0.3:
+        piece = _primitive(rng, rng.uniform(0.12, 0.25))
+        away = rng.normal(size=3)
+        centre = away / np.linalg.norm(away) * rng.uniform(0.0, 0.6) * placed[0][2]
+        solid.cut(_turned(piece.field, centre, _turn(rng, upright)), centre - piece.reach, centre + piece.reach)
+    return solid
+
+
+def _turn(rng: np.random.Generator, upright: bool) -> np.ndarray:
+    """A random rotation, or one that exchanges axes."""
+    if not upright:
+        return np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    return np.eye(3)[rng.permutation(3)]
+
+
+def _turned(field: Field, centre: np.ndarray, turn: np.ndarray) -> Field:
+    """The field moved to `centre`, its axes being the rows of `turn`."""
+    rows, (cx, cy, cz) = turn.astype(np.float32), centre.astype(np.float32)
+
+    def moved(x: Array, y: Array, z: Array) -> Array:
+        x, y, z = x - cx, y - cy, z - cz
+        return field(*(row[0] * x + row[1] * y + row[2] * z for row in rows))
+
+    return moved
