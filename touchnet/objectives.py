@@ -42,7 +42,8 @@ class Occupancy:
     """Inside or outside at labelled query points; the figure is the volumetric IoU on uniform ones."""
 
     def loss(self, network: nn.Module, batch: Sample, kind: Loss) -> Tensor:
-        return occupancy_loss(network.logits(batch.touches, batch.queries, batch.normals), batch.inside, kind)
+        logits = network.logits(batch.touches, batch.queries, batch.normals, batch.key)
+        return occupancy_loss(logits, batch.inside, kind)
 
     def scores(self, network: nn.Module, sample: Sample) -> dict[str, float]:
         occupancy = network(sample.touches, sample.queries, sample.normals)

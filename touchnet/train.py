@@ -44,7 +44,7 @@ from touchnet.data.samples import Sample, TrainingSamples
 from touchnet.losses import Loss
 from touchnet.models import build_model
 from touchnet.objectives import objective_of, validate
-from touchnet.weights import save_weights
+from touchnet.weights import load_model, save_weights
 
 EACH = "each"  # in place of a category
 
@@ -104,6 +104,9 @@ class TrainConfig:
     model: Literal["base", "paper", "tiny", "grnet", "pointnet2", "convonet"] | None = None
     """Size of the network (recipe default: base; paper: paper); tiny is for trying things out. grnet and pointnet2 give
     points, convonet occupancy: baselines, with a loss and a learning rate of their own in either recipe."""
+    init: str | None = None
+    """Weights to start from in place of random ones: `default` or a file; they bring their model with them. With few
+    shapes of your own, start from `default` with a --learning-rate of 5e-4."""
     sampling: Literal["trilinear", "addition"] | None = None
     """How features are read at a query: interpolated (FI) or added (FA). Default: trilinear."""
     steps: int | None = None
@@ -303,6 +306,8 @@ def train(config: TrainConfig) -> dict[str, float]:
 
     torch.manual_seed(config.seed)
     network = build_model(recipe.model)
+    if config.init is not None:
+        network.load_state_dict(load_model(config.init).state_dict())
     fused = accelerator.device.type in ("cpu", "cuda")
     optimizer = torch.optim.AdamW(
         network.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay, fused=fused
@@ -428,6 +433,7 @@ def trained_with(
         "samples": steps * recipe.batch_size,
         "minutes": round(seconds / 60, 2),
         "seed": config.seed,
+        "init": config.init,
     }
 
 
@@ -446,6 +452,10 @@ def resolve_recipe(config: TrainConfig) -> Recipe:
     given["samples"] = dataclasses.replace(recipe.samples, **changed)
     if config.model in MODELS:
         given["model"] = MODELS[config.model]
+    if config.init is not None:
+        if config.model is not None or config.sampling is not None:
+            raise ValueError("init brings its model with it: leave --model and --sampling out")
+        given["model"] = load_model(config.init).config
     if config.sampling is not None:
         given["model"] = dataclasses.replace(given.get("model", recipe.model), sampling=config.sampling)
     lengths = {name: getattr(config, name) for name in ("steps", "epochs", "minutes")}

@@ -1,3 +1,5 @@
+import dataclasses
+
 import pytest
 import torch
 
@@ -93,6 +95,57 @@ def test_decoding_without_gradients_gives_the_same_values(sampling):
         quick = model.decode(features, queries)
     assert torch.allclose(quick, model.decode(features, queries), atol=1e-6)
     assert quick.shape == (1, 3000)
+
+
+def measures_height(model, slope):
+    """Gives the model a first decoder volume whose channel 0 is the height y, and a head whose logit is -slope y."""
+    with torch.no_grad():
+        for parameter in model.head.parameters():
+            parameter.zero_()
+        # The height travels as its positive and its negative part.
+        model.head[0].weight[:2, 0] = torch.tensor([1.0, -1.0])
+        for layer in (model.head[2], model.head[4]):
+            layer.weight[:2, :2] = torch.eye(2)
+        model.head[6].weight[0, :2] = torch.tensor([-slope, slope])
+    axis = torch.linspace(-1, 1, 16)
+    fine = torch.zeros(2, 8, 16, 16, 16)
+    fine[:, 0] = axis[:, None]
+    return [fine, torch.zeros(2, 8, 8, 8, 8), torch.zeros(2, 16, 4, 4, 4)]
+
+
+@pytest.mark.parametrize(("slope", "length"), [(100.0, 0.5), (40.0, 0.5), (10.0, 0.125), (0.0, 0.0)])
+def test_estimated_normals_point_out_of_the_field_and_fade_where_it_is_flat(model, slope, length):
+    features = measures_height(model, slope)
+    points = torch.tensor([[[0.1, 0.2, -0.3], [torch.nan, 0, 0], [-0.9, -0.8, 0.7]]] * 2)
+    expected = torch.tensor([[[0, length, 0], [0, 0, 0], [0, length, 0]]] * 2)
+    torch.testing.assert_close(model.normals_of(features, points), expected, atol=1e-4, rtol=0)
+    one = [volume[:1] for volume in features]
+    torch.testing.assert_close(model.normals_of(one, points[:1]), expected[:1], atol=1e-4, rtol=0)
+
+
+def test_unknown_normals_are_those_of_a_first_pass(model):
+    touches, normals = touches_on_sphere(40, batch=2)
+    queries = queries_in_cube(100, batch=2)
+    some = normals.clone()
+    some[0, 10:] = 0  # the second sample has all of its normals
+    first = model._encode(touches[:1], some[:1])
+    completed = torch.cat([some[0, :10], model.normals_of(first, touches[:1])[0, 10:]])[None]
+    expected = torch.cat([model(touches[:1], queries[:1], completed), model(touches[1:], queries[1:], normals[1:])])
+    torch.testing.assert_close(model(touches, queries, some), expected, atol=1e-6, rtol=0)
+    single_pass = TouchNet(dataclasses.replace(SMALL, estimate_normals=False)).eval()
+    single_pass.load_state_dict(model.state_dict())
+    assert not torch.allclose(single_pass(touches, queries, some)[0], expected[0], atol=1e-6)
+
+
+def test_training_sees_both_passes_by_key(model):
+    touches, _ = touches_on_sphere(40, batch=2)
+    queries, keys = queries_in_cube(100, batch=2), torch.tensor([7, 12])
+    found = model.logits(touches, queries, torch.zeros_like(touches), keys)
+    assert found.requires_grad
+    first_pass = model.decode_logits(model._encode(touches, None), queries)
+    torch.testing.assert_close(found[0], first_pass[0])
+    torch.testing.assert_close(found[1], model.logits(touches, queries)[1])
+    assert not torch.allclose(found[1], first_pass[1])
 
 
 def test_normals_change_the_field(model):

@@ -45,8 +45,10 @@ class ConvONet(nn.Module):
         """Occupancy (B, M) in [0, 1] at queries (B, M, 3); arguments as those of TouchNet."""
         return self.decode(self.encode(touches, normals), queries)
 
-    def logits(self, touches: Tensor, queries: Tensor, normals: Tensor | None = None) -> Tensor:
-        """As :meth:`forward`, before the sigmoid."""
+    def logits(
+        self, touches: Tensor, queries: Tensor, normals: Tensor | None = None, keys: Tensor | None = None
+    ) -> Tensor:
+        """As :meth:`forward`, before the sigmoid. This network draws nothing at random: `keys` change nothing."""
         return self.decode_logits(self.encode(touches, normals), queries)
 
     def encode(self, touches: Tensor, normals: Tensor | None = None) -> list[Tensor]:

@@ -10,6 +10,12 @@ from touchnet.config import MODELS, ModelConfig
 from touchnet.models.query import HeadQuery
 from touchnet.models.unet3d import BaseUNet3D, PaperUNet3D, channels_last
 
+# Estimated normals are shorter than measured ones, so that the network can tell them apart, and fade where the first
+# pass is flat: there its direction is noise.
+ESTIMATED_LENGTH = 0.5
+STEEP = 40.0  # change of the logit per unit of the cube at which the length is reached
+STEP = 0.01  # of the differences, in the cube: under a cell of 64 vertices
+
 
 class TouchNet(nn.Module):
     """Gridding, 3D U-Net, feature sampling, occupancy MLP ("End-to-end Surface Reconstruction For Touching
@@ -67,25 +73,84 @@ class TouchNet(nn.Module):
         Args:
             touches: (B, N, 3) contact points in the cube [-1, 1]^3 (y up); rows that are not finite are padding.
             queries: (B, M, 3) points in the same cube.
-            normals: (B, N, 3) outward unit normals of the contacts; None or zero rows where they are unknown.
+            normals: (B, N, 3) outward unit normals of the contacts; None or zero rows where they are unknown: they are
+                estimated, see :meth:`encode`.
 
         Returns:
             (B, M)
         """
         return self.decode(self.encode(touches, normals), queries)
 
-    def logits(self, touches: Tensor, queries: Tensor, normals: Tensor | None = None) -> Tensor:
-        """As :meth:`forward`, before the sigmoid (what the cross-entropy is computed from)."""
-        return self.decode_logits(self.encode(touches, normals), queries)
+    def logits(
+        self, touches: Tensor, queries: Tensor, normals: Tensor | None = None, keys: Tensor | None = None
+    ) -> Tensor:
+        """As :meth:`forward`, before the sigmoid (what the cross-entropy is computed from).
+
+        Args:
+            keys: (B,) random integers; the samples with an odd one stay without estimated normals, as training wants
+                half of the time: it has to learn the first pass too. None: all have them.
+        """
+        if keys is None:
+            return self.decode_logits(self.encode(touches, normals), queries)
+        if self.estimates_normals:
+            normals = self._completed(touches, normals, keys % 2 == 0)
+        return self.decode_logits(self._encode(touches, normals), queries)
+
+    @property
+    def estimates_normals(self) -> bool:
+        """Whether contacts without a normal get one from a first pass."""
+        return self.uses_normals and self.config.estimate_normals
 
     def encode(self, touches: Tensor, normals: Tensor | None = None) -> list[Tensor]:
-        """Feature volumes of the touches, finest first: a list of (B, C, S, S, S), channels last in memory."""
-        if touches.dim() != 3 or touches.shape[2] != 3:
-            raise ValueError(f"touches should have shape (B, N, 3), got {tuple(touches.shape)}")
-        if normals is not None and normals.shape != touches.shape:
-            raise ValueError(
-                f"normals should have the shape of touches {tuple(touches.shape)}, got {tuple(normals.shape)}"
-            )
+        """Feature volumes of the touches, finest first: a list of (B, C, S, S, S), channels last in memory.
+
+        Where normals are unknown and the configuration says so, the touches are encoded twice: a first pass without
+        those normals gives the field whose gradient stands in for them in the second.
+        """
+        if self.estimates_normals:
+            normals = self._completed(touches, normals, torch.ones(len(touches), dtype=torch.bool))
+        return self._encode(touches, normals)
+
+    @torch.no_grad()
+    def _completed(self, touches: Tensor, normals: Tensor | None, chosen: Tensor) -> Tensor:
+        """Normals (B, N, 3) with estimates in place of those that are zero, in the samples `chosen` (B,)."""
+        _check_shapes(touches, normals)
+        if normals is None:
+            normals = torch.zeros_like(touches)
+        unknown = ~normals.any(dim=2) & touches.isfinite().all(dim=2)  # (B, N)
+        rows = (unknown.any(dim=1) & chosen.to(unknown.device)).nonzero()[:, 0]
+        if len(rows) == 0:
+            return normals
+        given = normals[rows]
+        estimate = self.normals_of(self._encode(touches[rows], given), touches[rows])
+        completed = normals.clone()
+        completed[rows] = torch.where(unknown[rows][..., None], estimate.to(given), given)
+        return completed
+
+    @torch.no_grad()
+    def normals_of(self, features: list[Tensor], points: Tensor) -> Tensor:
+        """Outward normals of the encoded field at points near its surface: against the gradient of the logit.
+
+        Args:
+            features: what :meth:`encode` returned.
+            points: (B, N, 3) in the cube.
+
+        Returns:
+            (B, N, 3) of length up to 0.5, shorter where the field is flat, zero where a point is not finite.
+        """
+        offsets = STEP * torch.cat([torch.eye(3), -torch.eye(3)]).to(points)  # (6, 3)
+        around = (points[:, None] + offsets[:, None]).flatten(1, 2)  # (B, 6 N, 3)
+        if len(points) == 1:
+            logits = HeadQuery(features, self.head, sample=self.sample, sigmoid=False)(around[0])
+        else:
+            logits = self.decode_logits(features, around)
+        ahead, behind = logits.view(len(points), 2, 3, -1).float().unbind(1)
+        downhill = ((behind - ahead) / (2 * STEP)).transpose(1, 2)  # (B, N, 3)
+        length = downhill.norm(dim=2, keepdim=True)
+        return (downhill * (ESTIMATED_LENGTH / length.clamp_min(STEEP))).nan_to_num(0.0)
+
+    def _encode(self, touches: Tensor, normals: Tensor | None) -> list[Tensor]:
+        _check_shapes(touches, normals)
         if self.config.network == "paper":
             volume = ops.gridding(touches, self.config.grid)  # (B, 1, S, S, S)
         else:
@@ -127,3 +192,10 @@ class TouchNet(nn.Module):
             height = (volume[:, 7:8] - (vertices * normal).sum(1, keepdim=True)) * half_cells
             channels += [normal * weight, height * weight]
         return torch.cat(channels, dim=1)
+
+
+def _check_shapes(touches: Tensor, normals: Tensor | None) -> None:
+    if touches.dim() != 3 or touches.shape[2] != 3:
+        raise ValueError(f"touches should have shape (B, N, 3), got {tuple(touches.shape)}")
+    if normals is not None and normals.shape != touches.shape:
+        raise ValueError(f"normals should have the shape of touches {tuple(touches.shape)}, got {tuple(normals.shape)}")
