@@ -127,6 +127,33 @@ SMALL_PEERS = {
 }
 
 
+def test_a_batch_in_pieces_trains_the_same(eggs, tmp_path):
+    for pieces in (1, 2, 4):
+        train(options(eggs, tmp_path / str(pieces), steps=3, accumulate=pieces))
+        AcceleratorState._reset_state(reset_partial_state=True)
+    whole = torch.load(tmp_path / "1/checkpoint.pt")["network"]
+    for pieces in ("2", "4"):
+        parts = torch.load(tmp_path / pieces / "checkpoint.pt")["network"]
+        for name, value in whole.items():
+            torch.testing.assert_close(parts[name], value, rtol=1e-3, atol=2e-5)
+
+
+def test_a_compiled_network_trains_the_same(eggs, tmp_path, monkeypatch):
+    monkeypatch.setattr("touchnet.train.COMPILER", "aot_eager")  # the same trace; inductor's C++ takes a minute
+    for compiled in (False, True):
+        train(options(eggs, tmp_path / str(compiled), steps=3, compile=compiled))
+        AcceleratorState._reset_state(reset_partial_state=True)
+    plain, compiled = (torch.load(tmp_path / name / "checkpoint.pt")["network"] for name in ("False", "True"))
+    for name, value in plain.items():
+        torch.testing.assert_close(compiled[name], value, rtol=1e-3, atol=2e-5)
+
+
+def test_bfloat16_without_instructions_for_it_earns_a_warning(eggs, tmp_path, monkeypatch):
+    monkeypatch.setattr("touchnet.train.fast_bfloat16", lambda: False)
+    with pytest.warns(UserWarning, match="this processor has no bfloat16 instructions"):
+        train(options(eggs, tmp_path / "run", steps=1, precision="bf16"))
+
+
 def test_training_goes_on_from_weights_that_are_given(eggs, tmp_path):
     train(options(eggs, tmp_path / "first", steps=2))
     AcceleratorState._reset_state(reset_partial_state=True)
@@ -341,6 +368,7 @@ def test_licences_can_be_left_out(eggs, tmp_path, capsys):
         (["--model", "grnet", "--sampling", "addition"], "sampling is how TouchNet reads features, grnet has none"),
         (["--init", "default", "--model", "tiny"], "init brings its model with it: leave --model and --sampling out"),
         (["--init", "nowhere.safetensors"], "no such file nowhere.safetensors"),
+        (["--accumulate", "3"], "batch_size should be a multiple of 3 piece(s) x 1 process(es), got 4"),
         (["--samples.max-contacts", "3"], "min_contacts should lie between 4 and max_contacts, got 64 and 3"),
         (["--samples.noise", "2"], "samples: noise should lie between 0 and 1, got 2"),
         (["--resume"], "resume: there is no checkpoint"),

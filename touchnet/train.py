@@ -16,6 +16,7 @@ import sys
 import time
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -47,6 +48,7 @@ from touchnet.objectives import objective_of, validate
 from touchnet.weights import load_model, save_weights
 
 EACH = "each"  # in place of a category
+COMPILER = "inductor"  # of torch.compile
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,9 @@ class TrainConfig:
     """Wall-clock time in all, instead of --steps: the schedule follows the clock, so two such runs differ."""
     batch_size: int | None = None
     """Samples of a step over all processes (both recipes: 4)."""
+    accumulate: int = 1
+    """Pieces a process's share of a batch is computed in, one after the other, where memory is short: the same training
+    for base, whose samples do not see each other (batch norm, in paper, sees a piece)."""
     learning_rate: float | None = None
     """Peak learning rate of Adam(W) (recipe default: 2e-3; paper: 1e-4)."""
     schedule: Literal["cosine", "multistep", "constant"] | None = None
@@ -129,6 +134,8 @@ class TrainConfig:
     precision: Literal["no", "bf16"] | None = None
     """no: all in float32 (both recipes); bf16: convolutions in bfloat16, weights and updates in float32, which pays on
     processors with bfloat16 matrix units."""
+    compile: bool = False
+    """Compile the network with torch.compile: the first steps take minutes, the others less time; for long runs."""
     category: tuple[str, ...] = ()
     """Train on these categories only; `each`: one network for each category, in OUTPUT/CATEGORY."""
     limit: int | None = None
@@ -286,11 +293,25 @@ def train(config: TrainConfig) -> dict[str, float]:
         raise FileNotFoundError(f"resume: there is no checkpoint {checkpoint}")
     tune_allocator()
     accelerator = Accelerator(
-        cpu=config.device == "cpu", mixed_precision=recipe.precision, step_scheduler_with_optimizer=False
+        cpu=config.device == "cpu",
+        mixed_precision=recipe.precision,
+        step_scheduler_with_optimizer=False,
+        dynamo_backend=COMPILER if config.compile else None,
     )
     if config.device == "cuda" and accelerator.device.type != "cuda":
         raise ValueError("device: cuda was asked for, but this torch sees no CUDA device")
     main = accelerator.is_main_process
+    share = config.accumulate * accelerator.num_processes
+    if config.accumulate < 1 or recipe.batch_size % share:
+        raise ValueError(
+            f"batch_size should be a multiple of {config.accumulate} piece(s) x {accelerator.num_processes} "
+            f"process(es), got {recipe.batch_size}"
+        )
+    if main and recipe.precision == "bf16" and accelerator.device.type == "cpu" and not fast_bfloat16():
+        warnings.warn(
+            "this processor has no bfloat16 instructions: --precision bf16 will take many times as long as float32",
+            stacklevel=2,
+        )
 
     data = config.data
     if data is None:
@@ -349,20 +370,26 @@ def train(config: TrainConfig) -> dict[str, float]:
             rate = learning_rate(step, planned, per_epoch, recipe.learning_rate, recipe.schedule)
             for group in optimizer.param_groups:
                 group["lr"] = rate
-            loss = model(*batch)
-            if not torch.isfinite(loss):
-                names = ", ".join(samples.data.records[int(i)].id for i in batch.index)
-                raise ValueError(
-                    f"the loss is {loss.item()} at step {step}; the batch holds {names}. Nothing was updated."
-                )
-            accelerator.backward(loss)
+            loss = 0.0
+            for number, piece in enumerate(pieces_of(batch, config.accumulate), 1):
+                # Processes exchange gradients once, after the last piece.
+                waiting = accelerator.no_sync(model) if number < config.accumulate else nullcontext()
+                with waiting:
+                    part = model(*piece) / config.accumulate
+                    if not torch.isfinite(part):
+                        names = ", ".join(samples.data.records[int(i)].id for i in piece.index)
+                        raise ValueError(
+                            f"the loss is {part.item()} at step {step}; the batch holds {names}. Nothing was updated."
+                        )
+                    accelerator.backward(part)
+                loss += part.item()
             accelerator.clip_grad_norm_(model.parameters(), 1.0)
             optimizer.step()
             optimizer.zero_grad()
             average.update(network, step)
 
             done = step + 1
-            losses.append(loss.item())
+            losses.append(loss)
             bar.update()
             # Every process learns of a signal to one of them, and goes by the first one's clock.
             clock = earlier + time.perf_counter() - began if main else 0.0
@@ -395,6 +422,18 @@ def train(config: TrainConfig) -> dict[str, float]:
         log.close()
     accelerator.end_training()
     return figures
+
+
+def fast_bfloat16() -> bool:
+    """Whether the processor multiplies in bfloat16 (AVX512-BF16 or AMX; other architectures: assumed)."""
+    known = Path("/proc/cpuinfo")
+    text = known.read_text() if known.exists() else ""
+    return "flags" not in text or "avx512_bf16" in text or "amx_bf16" in text
+
+
+def pieces_of(batch: Sample, count: int) -> list[Sample]:
+    """A batch of tensors cut into `count` equal ones."""
+    return [Sample(*piece) for piece in zip(*(value.chunk(count) for value in batch), strict=True)]
 
 
 class NothingLeft(ValueError):
