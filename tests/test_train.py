@@ -246,14 +246,15 @@ def test_a_stop_in_mid_epoch_resumes_exactly(eggs, tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_a_killed_run_leaves_whole_files_and_resumes_to_the_same_weights(eggs, tmp_path):
     arguments = [
-        sys.executable, "-m", "touchnet.train", "--data", str(eggs), "--model", "tiny", "--steps", "60",
-        "--samples.queries", "256", "--samples.max-contacts", "256", "--checkpoint-every", "5", "--workers", "1",
+        sys.executable, "-m", "touchnet.train", "--data", str(eggs), "--model", "tiny", "--steps", "120",
+        "--samples.queries", "256", "--samples.max-contacts", "256", "--checkpoint-every", "4", "--workers", "1",
         "--device", "cpu",
     ]  # fmt: skip
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     subprocess.run([*arguments, "-o", str(tmp_path / "straight")], check=True, env=environment, capture_output=True)
+    moments = np.random.default_rng(0).uniform(0, 0.3, size=10)
     resume: list[str] = []
-    for _ in range(3):
+    for moment in moments:
         run = subprocess.Popen(
             [*arguments, *resume, "-o", str(tmp_path / "killed")], env=environment, stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL, start_new_session=True,
@@ -265,6 +266,8 @@ def test_a_killed_run_leaves_whole_files_and_resumes_to_the_same_weights(eggs, t
             if checkpoint.exists() and checkpoint.stat().st_mtime_ns > before:
                 break
             time.sleep(0.01)
+        time.sleep(moment)  # any place between two checkpoints, or in the midst of writing one
+        assert run.poll() is None, "the run ended before it was killed"
         os.killpg(run.pid, signal.SIGKILL)
         run.wait()
         load_model(tmp_path / "killed/weights.safetensors")
