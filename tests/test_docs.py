@@ -39,6 +39,7 @@ NOT_RUN = {
     "make lint": "is run by CI beside the tests",
     "pip install .": "builds for a minute and downloads; CI installs the package before it runs the tests",
     "torchrun": "several processes; tests/test_train.py trains with them",
+    "srun": "several machines",
     "accelerate launch": "several processes; tests/test_train.py trains with them",
     "python -m benchmarks": "measures for minutes; it needs a quiet machine or real data",
     "python docs/pictures.py": "half a minute; tests/test_examples.py runs the simulation and reconstruction it draws",
@@ -309,7 +310,7 @@ def quick(words: list[str]) -> list[str]:
     taken = {"--save": "-o", "--force": "-f"}
     for option, values in options:
         if option not in rest and taken.get(option, option) not in rest:
-            if option == "--force" and "--resume" in rest:
+            if (option, "--resume" in rest) == ("--force", True) or (option, "--init" in rest) == ("--model", True):
                 continue
             rest += [option, *values.split()]
     return [name, *rest]
