@@ -1,0 +1,74 @@
+"""IoU of the shipped model against truth that no tool of ours closed: `python -m benchmarks.independent DATA MESHES`.
+
+Inside is where the generalised winding number of the mesh exceeds one half, by libigl, for the original mesh as its
+makers left it (open, in parts) and for the reconstruction. Beside it stands the same figure against the mesh that
+`touchnet simulate` closed, and the IoU of the two truths. The touches are those of the data set.
+"""
+
+import argparse
+import warnings
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from touchnet import reconstruct_mesh
+from touchnet.data.dataset import TouchDataset
+from touchnet.data.samples import contact_rows
+
+
+def inside(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
+    import igl
+
+    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+    return np.asarray(igl.fast_winding_number(vertices, faces, points)) > 0.5
+
+
+def iou(a: np.ndarray, b: np.ndarray) -> float:
+    return float((a & b).sum() / max((a | b).sum(), 1))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("data", type=Path, help="data set directory; its split test is used")
+    parser.add_argument("meshes", type=Path, help="the folder of meshes that it was made from")
+    parser.add_argument("--contacts", type=int, nargs="+", default=[2048, 512, 128])
+    parser.add_argument("--points", type=int, default=50_000, help="uniform in the box of the original mesh")
+    options = parser.parse_args()
+
+    data = TouchDataset(options.data, "test")
+    originals = {path.with_suffix("").name: path for path in options.meshes.rglob("*.ply")}
+    found: dict[tuple[int, bool], dict[str, list[tuple[float, float]]]] = {}
+    agreement = []
+    for index, record in enumerate(data.records):
+        shape = data.shape(index)
+        said = shape.metadata
+        original = trimesh.load(originals[record.id.split("/")[1]], force="mesh", process=False)
+        original.vertices = (original.vertices - said["centre"]) / said["scale"]
+        rng = np.random.default_rng(index)
+        points = rng.uniform(*original.bounds, size=(options.points, 3))
+        truths = inside(original, points), inside(shape.mesh(), points)
+        agreement.append(iou(*truths))
+        touches, normals = shape.array("touches")[0], shape.array("touch_normals")[0]
+        for contacts in options.contacts:
+            rows = contact_rows(len(touches), contacts)
+            for known in (True, False):
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", UserWarning)
+                    mesh = reconstruct_mesh(
+                        touches[rows], normals=normals[rows] if known else None, resolution=128, device="cpu"
+                    )
+                predicted = inside(mesh, points)
+                scores = tuple(iou(predicted, truth) for truth in truths)
+                found.setdefault((contacts, known), {}).setdefault(record.category, []).append(scores)
+    print(f"{len(data.records)} shapes; original against closed mesh: IoU {np.mean(agreement):.3f}")
+    for (contacts, known), categories in found.items():
+        original, closed = np.mean([np.mean(scores, axis=0) for scores in categories.values()], axis=0)
+        print(
+            f"{contacts:5} contacts {'with normals' if known else 'points alone'}: mean over categories "
+            f"{original:.3f} against the originals, {closed:.3f} against the closed meshes"
+        )
+
+
+if __name__ == "__main__":
+    main()
