@@ -149,6 +149,24 @@ def test_contacts_that_outgrow_the_first_ones():
 # --- where the robot can go -------------------------------------------------------------------------------------------
 
 
+def test_so_many_contacts_are_thinned_evenly(monkeypatch):
+    monkeypatch.setattr(module, "MOST_KNOWN", 200)
+    session = explorer(most(500))
+    session.next(1)
+    assert 80 < len(session._gp.gp) <= 100
+    assert session.next(2).positions[0, 0] > 0.3
+    session.add(most(90)[::3])  # these are added one by one
+    session.next(1, refit=False)
+    assert 110 < len(session._gp.gp) <= 130
+    session.add(most(150))  # with these it would be full
+    suggested = session.next(2, refit=False)
+    assert len(session._gp.gp) <= 100
+    assert suggested.positions[0, 0] > 0.3
+    session.add(suggested.positions)
+    session.next(1, refit=False)
+    assert len(session._gp.gp) <= 102
+
+
 def test_only_above_the_table():
     session = explorer(most(), up="z", floor=-0.3)
     suggested = session.next(30)

@@ -378,7 +378,7 @@ def test_save_makes_one_page_and_keeps_what_is_there(here, ball, capsys):
         assert "128 contacts" in facts(opened)
 
 
-def test_the_page_suggests_what_the_explorer_does(here, ball, capsys, monkeypatch):
+def test_the_page_suggests_what_the_explorer_does(here, ball):
     contacts = strokes_on_a_sphere()
     touches = table("t.csv", contacts)
     assert main([touches, *SAVE, "--steps", "1", "--suggestions", "3"]) == 0
@@ -390,9 +390,6 @@ def test_the_page_suggests_what_the_explorer_does(here, ball, capsys, monkeypatc
         np.testing.assert_allclose(found, np.column_stack(expected[:4]), rtol=1e-9, atol=1e-9)
         assert not page.evaluate("$('confidence-row').hidden")
         assert page.evaluate("page.step.tolerance") == pytest.approx(0.01 * np.ptp(contacts.points, axis=0).max())
-    monkeypatch.setattr("touchnet.view.MOST_EXPLORED", 100)
-    assert main([touches, *SAVE, "-f"]) == 0
-    assert "t.csv: no suggestions from more than 100 contacts" in capsys.readouterr().err
 
 
 def test_a_save_that_fails_leaves_nothing(here, ball, monkeypatch):

@@ -22,7 +22,15 @@ from touchnet.data.gp import _KERNELS, _LANES, GaussianProcess
 from touchnet.frames import FILL, Frame
 from touchnet.metrics import sample_surface
 from touchnet.ops._ext import _C
-from touchnet.reconstruction import Reconstruction, Up, check_contacts, pick_device, ready_model, reconstruct_with_field
+from touchnet.reconstruction import (
+    Reconstruction,
+    Up,
+    check_contacts,
+    pick_device,
+    ready_model,
+    reconstruct_with_field,
+    thin,
+)
 
 __all__ = ["Explorer", "Suggestions"]
 
@@ -31,6 +39,7 @@ Reachable = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool
 CANDIDATES = 1024  # places on the surface among which the next touches are chosen
 LENGTH_SCALE = 0.15  # how far one touch tells, as a share of the longest side of the contacts
 NOISE = 0.05  # standard deviation of a contact against the prior's 1: a touch never tells everything
+MOST_KNOWN = 4096  # places in the Gaussian process: with more it starts anew with half as many, spread evenly
 GROWTH = 1.1  # how far the contacts' longest side may grow before the Gaussian process starts anew
 LATTICE = 48  # vertices along the cube at which the occupancy is looked up
 POSSIBLE = 0.25  # occupancy from which on the object may well be there
@@ -234,10 +243,13 @@ class Explorer:
         return bool(self._tree.query(new)[0].max() > ASTRAY * FILL * self._fit.mesh.metadata["frame"].scale)
 
     def _process(self) -> _Process:
-        """The Gaussian process with all places visited; it starts anew where they have outgrown its length scale."""
-        if self._gp is None or len(self._gp.gp) < len(self._visited):
-            frame = Frame.fit(self._points)
-            if self._gp is None or frame.scale > GROWTH * self._gp.frame.scale:
+        """The Gaussian process of all places visited; it starts anew where they have outgrown its length scale or
+        become too many for it."""
+        if self._gp is None or self._gp.seen < len(self._visited):
+            frame, gp = Frame.fit(self._points), self._gp
+            outgrown = gp is not None and frame.scale > GROWTH * gp.frame.scale
+            full = gp is not None and len(gp.gp) + len(self._visited) - gp.seen > MOST_KNOWN
+            if gp is None or outgrown or full:
                 self._gp, self._places = _Process(frame), None
             self._gp.learn(self._visited)
         return self._gp
@@ -268,13 +280,18 @@ class _Process:
     def __init__(self, frame: Frame) -> None:
         self.frame, self.side = frame, FILL * frame.scale
         self.gp = GaussianProcess("matern32", length_scale=LENGTH_SCALE, noise=NOISE)
+        self.seen = 0  # places that it was told of
 
     def to_unit(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         return (points - self.frame.centre) / self.side
 
     def learn(self, points: NDArray[np.float64]) -> None:
-        """Adds those of the places (N,3) that it does not know yet."""
-        self.gp.add(self.to_unit(points[len(self.gp) :]))
+        """Adds those of the places (N,3) that it was not told of yet; at the start, of very many an even choice."""
+        new = points[self.seen :]
+        if len(self.gp) + len(new) > MOST_KNOWN:
+            new = new[thin(new, MOST_KNOWN // 2)]
+        self.gp.add(self.to_unit(new))
+        self.seen = len(points)
 
 
 class _Places:

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 PROG = "touchnet view"
 STDIN = Path("-")
-MOST_EXPLORED = 4096  # contacts: suggestions take the square of their number in memory, 128 MiB here
 
 
 @dataclass(frozen=True)
@@ -176,9 +175,7 @@ def _step_maker(contacts: Points, suggestions: int, options: Options) -> Callabl
                     device=device,
                 )
                 mesh = explorer.mesh()
-                if suggestions and count > MOST_EXPLORED:
-                    notes.append(f"no suggestions from more than {MOST_EXPLORED} contacts")
-                elif suggestions:
+                if suggestions:
                     found = explorer.next(suggestions)
                     columns = (found.positions, found.directions, found.gains, found.expected_errors)
                     places = [Suggestion(*row) for row in zip(*columns, strict=True)]
