@@ -14,7 +14,10 @@ from accelerate.state import AcceleratorState
 
 from touchnet.config import PAPER_SAMPLES, PEERS, ConvONetConfig, GRNetConfig, PointNet2Config, SampleConfig
 from touchnet.data.dataset import Index, ShapeRecord, write_index, write_shape
-from touchnet.train import RECIPES, Budget, StepBatches, TrainConfig, learning_rate, main, resolve_recipe, train
+from touchnet.train import main, train
+from touchnet.training.batches import StepBatches
+from touchnet.training.options import RECIPES, TrainConfig, resolve_recipe
+from touchnet.training.schedule import Budget, learning_rate
 from touchnet.weights import load_model, read_notes
 
 SMALL_SAMPLES = SampleConfig(queries=256, min_contacts=63, max_contacts=256)
