@@ -56,7 +56,8 @@ QUICK = {
     "simulate": "--touches 64 --trajectories 1 --near 512 --box 256 --surface 512",
     "train": "--steps 2 --model tiny --samples.queries 64 --samples.min-contacts 32 --samples.max-contacts 64 "
     "--workers 0 --device cpu --force",
-    "evaluate": "--resolution 16 --samples 500 --contacts 64 --gallery 0 --limit 1 --normals with --device cpu --force",
+    "evaluate": "--resolution 16 --samples 500 --contacts 64 --curve-contacts 64 --gallery 0 --limit 1 "
+    "--normals with --device cpu --force",
 }
 SMALLER = {  # values that make a command slow, and what stands in for them
     "--resolution": "24",
