@@ -304,9 +304,10 @@ def quick(words: list[str]) -> list[str]:
             rest[at:stop] = [option, small] if small is not None else []
     if name == "simulate" and "--verify" in rest:
         return words
-    if "--methods" in rest and "all" in rest and importlib.util.find_spec("pymeshlab") is None:
-        at = rest.index("all")
-        rest[at : at + 1] = ["model", "convex_hull", "alpha_shape", "gpis"]  # all but those of the extra [baselines]
+    if importlib.util.find_spec("pymeshlab") is None:  # without the extra [baselines]
+        rest = [word for word in rest if word not in ("alpha_wrap", "ball_pivoting", "poisson")]
+        at = rest.index("all") if "all" in rest else len(rest)
+        rest[at : at + 1] = ["model", "convex_hull", "alpha_shape", "gpis"] if "all" in rest else []
     options = iter(re.findall(r"(--\S+)((?: (?!--)\S+)*)", QUICK[name]))
     taken = {"--save": "-o", "--force": "-f"}
     for option, values in options:
