@@ -106,6 +106,11 @@ def test_arguments_that_fit():
     assert options == Options(files=(Path("a"), Path("b")), output=Path("c"))
 
 
+def test_none_is_not_a_value_to_type(capsys):
+    assert touchnet_main(["explore", "x.xyz", "--up", "None"]) == 2
+    assert "invalid choice 'None'" in capsys.readouterr().err
+
+
 def test_help_is_status_0(capsys):
     status = cli.command("touchnet try")(lambda argv: cli.parse(Options, argv, prog="touchnet try"))(["--help"])
     assert status == 0
@@ -120,6 +125,7 @@ def test_help_of_every_command_is_complete(name, capsys, monkeypatch):
     assert f"usage: touchnet {name}" in out
     pairs = re.findall(r"(--[a-z-]+), --no-", out)
     assert pairs == [], "a flag has one name"
+    assert "None" not in out, "nobody types None"
     # Each option stands beside words on what it does, before its default.
     for line in out.splitlines():
         if line.startswith("│ -") and "(default:" in line:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from touchnet.meshes import check_closed, fill_cavities
+from touchnet.meshes import check_closed, distances_to, fill_cavities
 
 
 def tetrahedron(offset=0.0):
@@ -117,3 +117,17 @@ def test_solids_side_by_side_are_kept_as_they_are():
     vertices, faces = np.vstack([a[0], b[0]]), np.vstack([a[1], b[1] + len(a[0])])
     left, kept, cavities = fill_cavities(vertices, faces)
     assert cavities == 0 and np.array_equal(left, vertices) and np.array_equal(kept, faces)
+
+
+def test_distances_are_to_the_faces_not_to_the_vertices():
+    box = trimesh.creation.box()
+    points = np.array([[0.5, 0.2, 0.1], [0.75, 0, 0], [0.75, 0.75, 0], [0, 0, 0.5 + 1e-9], [0, 0, 0], [0.5, 0.5, 0.5]])
+    expected = [0, 0.25, 0.125**0.5, 1e-9, 0.5, 0]
+    np.testing.assert_allclose(distances_to(box, points), expected, rtol=1e-6, atol=1e-15)
+
+
+def test_distances_to_a_fine_mesh_are_those_to_all_of_its_faces():
+    mesh = trimesh.creation.torus(1.0, 0.3, major_sections=90, minor_sections=25)
+    points = np.random.default_rng(0).normal(size=(400, 3))
+    _, expected, _ = trimesh.proximity.closest_point_naive(mesh, points)
+    np.testing.assert_allclose(distances_to(mesh, points), expected, rtol=1e-3, atol=1e-12)

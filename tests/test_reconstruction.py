@@ -232,6 +232,16 @@ def test_thousands_of_contacts_are_thinned():
     assert mesh.metadata["contacts"] == model.encoded[0][0].shape[1]
 
 
+def test_the_distance_of_the_contacts_does_not_depend_on_the_cells():
+    contacts = np.concatenate([sphere(100), -sphere(100)])
+    coarse, fine = (
+        reconstruct_mesh(contacts, weights=Ball(inflate=1.02), resolution=cells).metadata["distance"]
+        for cells in (32, 96)
+    )
+    assert fine == pytest.approx(0.02, rel=0.05)
+    assert coarse == pytest.approx(fine, rel=0.1)
+
+
 def test_contacts_far_from_the_surface_earn_a_warning():
     with pytest.warns(UserWarning, match="do not look like the surface of an object"):
         reconstruct_mesh(np.random.default_rng(0).uniform(-1, 1, size=(500, 3)), weights=Ball(), resolution=32)

@@ -78,8 +78,8 @@ def small_scene(**options):
     centre = contacts.points.mean(axis=0)
     towards_viewer = np.array([0.5, 0.4, 0.77]) / np.linalg.norm([0.5, 0.4, 0.77])
     suggestions = [
-        Suggestion(centre + 48 * towards_viewer, -towards_viewer, 0.25, 2.0),
-        Suggestion(centre + np.array([0, 48, 0]), np.array([0, -1.0, 0]), 0.125, 1.5),
+        Suggestion(centre + 48 * towards_viewer, -towards_viewer, 0.25, 2.0, 30.0),
+        Suggestion(centre + np.array([0, 48, 0]), np.array([0, -1.0, 0]), 0.125, 1.5, 20.0),
     ]
     steps = [
         Step(32, sphere(40.0)),
@@ -218,7 +218,7 @@ def test_suggestions_are_listed_and_turned_to(tmp_path):
         rows = page.evaluate("[...$('next').rows].map(row => [...row.cells].map(cell => cell.innerText))")
         assert [row[0] for row in rows] == ["1", "2"]
         assert rows[1][1:] == ["100.00", "28.00", "400.00", "13 %"]
-        assert page.evaluate("csv().split('\\n')[2]") == "100,28,400,0,-1,0,0.125,1.5"
+        assert page.evaluate("csv().split('\\n')[2]") == "100,28,400,0,-1,0,0.125,1.5,20"
         page.click("#next tr:nth-child(2)")
         page.wait_for("page.camera.elevation > 1.19")
         page.evaluate("setCount(32)")
@@ -387,7 +387,7 @@ def test_the_page_suggests_what_the_explorer_does(here, ball):
         page.wait_for(READY)
         page.check()
         found = np.array([row.split(",") for row in page.evaluate("csv()").splitlines()[1:]], dtype=float)
-        np.testing.assert_allclose(found, np.column_stack(expected[:4]), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(found, np.column_stack(expected), rtol=1e-9, atol=1e-9)
         assert not page.evaluate("$('confidence-row').hidden")
         assert page.evaluate("page.step.tolerance") == pytest.approx(0.01 * np.ptp(contacts.points, axis=0).max())
 

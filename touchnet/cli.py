@@ -102,14 +102,34 @@ def parse(
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
-            # A flag has one name: --force, without --no-force beside it.
-            config = (tyro.conf.FlagCreatePairsOff, *config)
-            return tyro.cli(options_type, args=argv, prog=prog, config=config, **options)
+            # A flag has one name: --force, without --no-force beside it. What is not given is None, which nobody types.
+            config = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone, *config)
+            return tyro.cli(options_type, args=argv, prog=prog, config=config, registry=_registry(), **options)
     except SystemExit as leave:
         if not leave.code:
             raise
         print(f"{prog}: error: {_inside_of_box(said.getvalue())} (see {prog} --help)", file=sys.stderr)
         raise SystemExit(BAD_INPUT) from None
+
+
+def _registry() -> tyro.constructors.ConstructorRegistry:
+    """How --help writes a default of None: unset."""
+    registry = tyro.constructors.ConstructorRegistry()
+
+    @registry.primitive_rule
+    def unset(info: tyro.constructors.PrimitiveTypeInfo) -> tyro.constructors.PrimitiveConstructorSpec | None:
+        if info.type is not type(None):
+            return None
+        return tyro.constructors.PrimitiveConstructorSpec(
+            nargs=1,
+            metavar="",
+            instance_from_str=lambda words: None,
+            is_instance=lambda value: value is None,
+            str_from_instance=lambda value: ["unset"],
+            choices=(),
+        )
+
+    return registry
 
 
 def _inside_of_box(text: str) -> str:

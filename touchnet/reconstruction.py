@@ -10,13 +10,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 import trimesh
-from scipy.spatial import cKDTree
 from torch import Tensor, nn
 
 from touchnet import ops
 from touchnet.confidence import TOLERANCE, expected_error, vertex_normals, within
 from touchnet.frames import Frame, find_outliers
-from touchnet.meshes import fill_cavities
+from touchnet.meshes import distances_to, fill_cavities
 
 __all__ = ["reconstruct_field", "reconstruct_mesh", "thin"]
 
@@ -90,7 +89,7 @@ def reconstruct_mesh(
         expect the true surface from a vertex, in the unit of the input, and "confidence", the probability that this
         distance is within the tolerance (`touchnet.confidence`). Its `metadata` say how it came about: "cell" (the
         side of a cell in the input's unit), "frame", "contacts" (used), "outliers" (left out), "cavities" (filled),
-        "refitted", "meets_border", "distance" (median, from the contacts to the vertices), "tolerance".
+        "refitted", "meets_border", "distance" (median, from the contacts to the surface), "tolerance".
 
     Raises:
         ValueError: contacts that are too few, on a line or not finite; no surface at the level; normals or options that
@@ -194,7 +193,7 @@ def reconstruct_with_field(
     if fitted.mesh.metadata["meets_border"]:
         fitted, refitted = _refit(fitted, fit, frame.enlarged(REFIT))
     mesh, error, field = fitted
-    distance = float(np.median(cKDTree(mesh.vertices).query(points)[0]))
+    distance = float(np.median(distances_to(mesh, points)))
     longest = float(np.ptp(points, axis=0).max())
     if distance > FAR * longest:
         warnings.warn(

@@ -176,9 +176,7 @@ def _step_maker(contacts: Points, suggestions: int, options: Options) -> Callabl
                 )
                 mesh = explorer.mesh()
                 if suggestions:
-                    found = explorer.next(suggestions)
-                    columns = (found.positions, found.directions, found.gains, found.expected_errors)
-                    places = [Suggestion(*row) for row in zip(*columns, strict=True)]
+                    places = [Suggestion(*row) for row in zip(*explorer.next(suggestions), strict=True)]
             except ValueError as error:
                 notes.append(cli.one_line(error))
         notes = [cli.one_line(w.message) for w in said if issubclass(w.category, UserWarning)] + notes

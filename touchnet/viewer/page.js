@@ -482,12 +482,13 @@ function hover(event) {
     if (id === 0) return;
     if (id >= ARROW_IDS) {
       const k = id - ARROW_IDS;
-      const { direction, gain, expected_error: off } = page.step.suggestions[k];
+      const { direction, gain, expected_error: off, clearance } = page.step.suggestions[k];
       const lines = [
         `${k + 1}: touch here to remove ${percent(gain)} of the expected error`,
         coordinates(page.arrows[k].tip).join("  "),
         `along ${direction.map((c) => c.toFixed(3)).join("  ")}`,
         `the surface may be ${number(off, 2)} off`,
+        `the path is free for ${number(clearance, 2)}`,
       ];
       tip.textContent = lines.join("\n");
     } else {
@@ -514,10 +515,10 @@ function fold(folded) {
 
 function csv() {
   const rows = page.step.suggestions.map((suggestion) => {
-    const { position, direction, gain, expected_error: off } = suggestion;
-    return [...position, ...direction, gain, off].map((c) => Number(c.toPrecision(10))).join(",");
+    const { position, direction, gain, expected_error: off, clearance } = suggestion;
+    return [...position, ...direction, gain, off, clearance].map((c) => Number(c.toPrecision(10))).join(",");
   });
-  return ["x,y,z,dx,dy,dz,gain,expected_error", ...rows, ""].join("\n"); // named as by `touchnet explore`
+  return ["x,y,z,dx,dy,dz,gain,expected_error,clearance", ...rows, ""].join("\n"); // named as by `touchnet explore`
 }
 
 function listen() {

@@ -31,12 +31,14 @@ class Suggestion:
         direction: (3,) along which it should come, of length 1.
         gain: in 0..1, the share of the surface's expected squared error that the touch is expected to remove.
         expected_error: how far the surface may lie from the position.
+        clearance: how far back from the position, against the direction, the path is free.
     """
 
     position: np.ndarray
     direction: np.ndarray
     gain: float
     expected_error: float
+    clearance: float
 
 
 @dataclass(frozen=True)
@@ -138,6 +140,7 @@ class Scene:
                     "direction": np.asarray(s.direction, dtype=np.float64).tolist(),
                     "gain": float(s.gain),
                     "expected_error": float(s.expected_error),
+                    "clearance": float(s.clearance),
                 }
                 for s in step.suggestions
             ],
