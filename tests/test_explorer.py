@@ -8,6 +8,7 @@ import touchnet
 from tests.test_reconstruction import Ball, sphere
 from touchnet import explorer as module
 from touchnet.explorer import Explorer
+from touchnet.meshes import distances_to
 
 
 class UnitBall(Ball):
@@ -292,3 +293,41 @@ def test_gains_are_what_conditioning_on_the_touch_takes_away():
         after = float(places.weights @ process.gp.variance(places.unit))
         assert gain == pytest.approx((before - after) / whole, rel=1e-6)
         before = after
+
+
+def test_estimated_normals_begin_with_those_of_the_last_surface(monkeypatch):
+    model = touchnet.load_model("default")
+    passes, encode = [], model._encode
+    monkeypatch.setattr(model, "_encode", lambda *touches: passes.append(1) or encode(*touches))
+    contacts = sphere(400) * [1.0, 0.7, 0.5]
+    session = Explorer(contacts[:384], weights=model, resolution=48)
+    session.mesh()
+    assert len(passes) > 2
+    passes.clear()
+    session.add(contacts[384:])
+    mesh = session.mesh()
+    assert len(passes) == 1
+    expected = touchnet.reconstruct_mesh(contacts, weights=model, resolution=48)
+    assert distances_to(expected, mesh.vertices).mean() < 0.05 * mesh.metadata["cell"]
+
+    # With a quarter more contacts the estimates of the few are forgotten.
+    session.add(sphere(100, seed=1) * [1.0, 0.7, 0.5])
+    passes.clear()
+    session.mesh()
+    assert len(passes) > 2
+
+
+def test_known_normals_are_not_guessed_again(monkeypatch):
+    model = touchnet.load_model("default")
+    seen, encode = [], model._encode
+    monkeypatch.setattr(model, "_encode", lambda touches, normals: seen.append(normals) or encode(touches, normals))
+    contacts = np.vstack([np.eye(3), -np.eye(3), sphere(154)])
+    session = Explorer(contacts[:150], contacts[:150], up="z", weights=model, resolution=32)
+    session.mesh()
+    session.add(contacts[150:160])
+    session.mesh()
+    known, estimated = seen[-1][0, :150].numpy(), seen[-1][0, 150:].numpy()
+    turned = contacts[:, [0, 2, 1]] * [1, 1, -1]  # z up to y up
+    assert known == pytest.approx(turned[:150], abs=1e-6)
+    assert (np.linalg.norm(estimated, axis=1) <= 0.5 + 1e-6).all()
+    assert ((estimated * turned[150:160]).sum(axis=1) > 0.4).all()

@@ -138,6 +138,7 @@ class Explorer:
         self._visited = np.empty((0, 3))  # contacts and misses, as they came
         self._fit: Reconstruction | None = None
         self._fitted = 0  # how many contacts it knows
+        self._afresh = 0  # how many the last fit knew that did not begin with the normals of the one before
         self._gp: _Process | None = None
         self._places: _Places | None = None
         if points is not None:
@@ -189,6 +190,9 @@ class Explorer:
     def mesh(self, resolution: int | None = None) -> trimesh.Trimesh:
         """The closed surface from all contacts so far: what `reconstruct_mesh` returns for them.
 
+        Where normals are not known, their estimates begin with those of the session's last surface while a quarter of
+        the contacts or fewer are new to it, and the surface is the same only up to where estimates settle.
+
         Args:
             resolution: another one than the session's.
 
@@ -223,6 +227,10 @@ class Explorer:
         return self._places.best(process, k)
 
     def _reconstruct(self, resolution: int) -> Reconstruction:
+        # Estimates made of few contacts may hold on to an error that those of all contacts would not make.
+        guess = None if self._fit is None or len(self) >= STALE * self._afresh else self._fit.normals
+        if guess is None:
+            self._afresh = len(self)
         return reconstruct_with_field(
             self._points,
             normals=self.normals,
@@ -231,6 +239,7 @@ class Explorer:
             resolution=resolution,
             device=self.device,
             level=self.level,
+            guess=guess,
         )
 
     def _is_stale(self) -> bool:

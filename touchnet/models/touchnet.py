@@ -103,28 +103,40 @@ class TouchNet(nn.Module):
         """Whether contacts without a normal get one from a first pass."""
         return self.uses_normals and self.config.estimate_normals
 
-    def encode(self, touches: Tensor, normals: Tensor | None = None) -> list[Tensor]:
+    def encode(self, touches: Tensor, normals: Tensor | None = None, guess: Tensor | None = None) -> list[Tensor]:
         """Feature volumes of the touches, finest first: a list of (B, C, S, S, S), channels last in memory.
 
         Where normals are unknown and the configuration says so, the touches are encoded more than once: a first pass
         without those normals gives a field whose gradient stands in for them in the second, and so on until the normals
         settle (4 or 5 passes in the mean, at most 8).
+
+        Args:
+            guess: (B, N, 3) estimates to begin with in place of the first pass: :meth:`normals_of` a field of much the
+                same touches. Where they hold, one pass is all.
         """
         if self.estimates_normals:
+            if guess is not None:
+                unknown = _unknown(touches, normals)
+                begin = guess if normals is None else torch.where(unknown[..., None], guess, normals)
+                features = self._encode(touches, begin)
+                guess = self.normals_of(features, touches).to(begin)
+                if (_change(begin, guess, unknown) <= SETTLED * ESTIMATED_LENGTH).all():
+                    return features
             chosen = torch.ones(len(touches), dtype=torch.bool)
-            normals = self._completed(touches, normals, chosen, passes=PASSES)
+            normals = self._completed(touches, normals, chosen, passes=PASSES, begin=guess)
         return self._encode(touches, normals)
 
     @torch.no_grad()
-    def _completed(self, touches: Tensor, normals: Tensor | None, chosen: Tensor, *, passes: int) -> Tensor:
+    def _completed(
+        self, touches: Tensor, normals: Tensor | None, chosen: Tensor, *, passes: int, begin: Tensor | None = None
+    ) -> Tensor:
         """Normals (B, N, 3) with estimates in place of those that are zero, in the samples `chosen` (B,), for the last
-        of at most `passes` passes."""
-        _check_shapes(touches, normals)
-        if normals is None:
-            normals = torch.zeros_like(touches)
-        unknown = ~normals.any(dim=2) & touches.isfinite().all(dim=2)  # (B, N)
+        of at most `passes` passes; the first one is made with the estimates `begin`."""
+        unknown = _unknown(touches, normals)
         rows = (unknown.any(dim=1) & chosen.to(unknown.device)).nonzero()[:, 0]
-        completed = normals.clone()
+        completed = torch.zeros_like(touches) if normals is None else normals.clone()
+        if begin is not None:
+            completed = torch.where(unknown[..., None], begin, completed)
         for _ in range(passes - 1):
             if len(rows) == 0:
                 break
@@ -132,8 +144,7 @@ class TouchNet(nn.Module):
             estimate = self.normals_of(self._encode(touches[rows], before), touches[rows]).to(before)
             after = torch.where(missing[..., None], estimate, before)
             completed[rows] = after
-            change = (after - before).norm(dim=2).sum(dim=1) / missing.sum(dim=1)
-            rows = rows[change > SETTLED * ESTIMATED_LENGTH]
+            rows = rows[_change(before, after, missing) > SETTLED * ESTIMATED_LENGTH]
         return completed
 
     @torch.no_grad()
@@ -201,6 +212,19 @@ class TouchNet(nn.Module):
             height = (volume[:, 7:8] - (vertices * normal).sum(1, keepdim=True)) * half_cells
             channels += [normal * weight, height * weight]
         return torch.cat(channels, dim=1)
+
+
+def _unknown(touches: Tensor, normals: Tensor | None) -> Tensor:
+    """Which contacts (B, N) have no normal."""
+    _check_shapes(touches, normals)
+    finite = touches.isfinite().all(dim=2)
+    return finite if normals is None else finite & ~normals.any(dim=2)
+
+
+def _change(before: Tensor, after: Tensor, rows: Tensor) -> Tensor:
+    """Mean length (B,) of the difference of two (B, N, 3) over the chosen rows (B, N); 0 where there are none."""
+    lengths = (after - before).norm(dim=2).where(rows, 0.0)
+    return lengths.sum(dim=1) / rows.sum(dim=1).clamp_min(1)
 
 
 def _check_shapes(touches: Tensor, normals: Tensor | None) -> None:
