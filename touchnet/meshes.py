@@ -52,8 +52,8 @@ def check_closed(mesh: trimesh.Trimesh) -> None:
 def distances_to(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     """Distances from points to the surface of a mesh whose faces are of about one size.
 
-    Only the faces at the 8 vertices nearest to a point are looked at: exact next to the surface; elsewhere the result may
-    be too large by a small part of itself. A tree of all faces would take several times as long to build.
+    Only the faces at the 8 vertices nearest to a point are looked at: exact next to the surface; elsewhere the result
+    may be too large by a small part of itself. A tree of all faces would take several times as long to build.
 
     Args:
         mesh: with at least one face.

@@ -33,7 +33,7 @@ _TO_Y_UP = {
 
 
 class Fitted(NamedTuple):
-    """What one cube gives: the mesh, the expected errors (V,) at its vertices, what the network makes of the contacts."""
+    """What one cube gives: the mesh, the expected errors (V,) at its vertices, the features of the contacts."""
 
     mesh: trimesh.Trimesh
     error: np.ndarray
