@@ -4,7 +4,9 @@ import io
 import json
 import locale
 import re
+import shutil
 import struct
+import subprocess
 import tracemalloc
 import warnings
 import zipfile
@@ -22,6 +24,7 @@ from touchnet.data.readers.rows import POINT_SUFFIXES
 from touchnet.meshes import check_closed
 
 XYZ = np.array([[0.5, -1.25, 2.0], [1e-3, 4.0, -0.75], [3.0, 0.0, 7.5], [-2.5, 1.0, 0.125]])
+F05 = "F05_plain_for_locale_test.xyz"
 NORMALS = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, 1], [0.6, 0, -0.8]])
 
 
@@ -53,7 +56,7 @@ def cases(shared_data):
 
 @pytest.fixture
 def plain(cases):
-    text = (cases / "F05_plain_for_locale_test.xyz").read_text()
+    text = (cases / F05).read_text()
     return np.array([[float(word) for word in line.split()] for line in text.splitlines()])
 
 
@@ -71,7 +74,7 @@ def test_f01_nan_row_is_dropped_and_counted(cases):
     "name",
     [
         "F03_comma_separated.xyz",
-        "F05_plain_for_locale_test.xyz",
+        F05,
         "F06_crlf_ascii.ply",
         "F08_points_only.ply",
         "F10_binary_mixed_fields.pcd",
@@ -89,21 +92,35 @@ def test_f_cases_hold_the_same_12_points(cases, plain, name):
         assert np.allclose(np.linalg.norm(points.normals, axis=1), 1, atol=1e-15)
 
 
-def test_f05_does_not_depend_on_the_locale(cases):
-    before = read_points(cases / "F05_plain_for_locale_test.xyz").points
+@pytest.fixture
+def decimal_comma(tmp_path, monkeypatch):
+    """A locale that writes 0,5: an installed one, or one made from the sources of `locales`."""
     old = locale.setlocale(locale.LC_NUMERIC)
+    made = tmp_path / "locales"
+    made.mkdir()
+    if shutil.which("localedef"):
+        subprocess.run(["localedef", "-i", "de_DE", "-f", "UTF-8", made / "de_DE.UTF-8"], capture_output=True)
+        if (made / "de_DE.UTF-8").exists():
+            monkeypatch.setenv("LOCPATH", str(made))
     for name in ("de_DE.UTF-8", "de_DE", "fr_FR.UTF-8", "German_Germany"):
         try:
             locale.setlocale(locale.LC_NUMERIC, name)
-            break
         except locale.Error:
             continue
-    else:
-        pytest.skip("no locale with a decimal comma is installed")
-    try:
-        assert (read_points(cases / "F05_plain_for_locale_test.xyz").points == before).all()
-    finally:
+        yield
         locale.setlocale(locale.LC_NUMERIC, old)
+        return
+    pytest.skip("no locale with a decimal comma is installed, nor the sources to make one (Debian: locales)")
+
+
+def test_f05_does_not_depend_on_the_locale(cases, plain, decimal_comma, tmp_path):
+    assert f"{0.5:n}" == "0,5"
+    assert (read_points(cases / F05).points == plain).all()
+    tetrahedron = np.array([[0.5, 0, 0], [0, 0.25, 0], [0, 0, 0.125], [0, 0, 0]])
+    for name in ("mesh.ply", "mesh.obj", "mesh.stl", "mesh.glb"):
+        mesh = trimesh.Trimesh(tetrahedron, [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], process=False)
+        write_mesh(tmp_path / name, mesh)
+        np.testing.assert_allclose(trimesh.load_mesh(tmp_path / name).bounds, mesh.bounds, atol=1e-6)
 
 
 def test_f13_zero_points(cases):
