@@ -16,8 +16,9 @@ import trimesh
 from numpy.typing import NDArray
 
 import touchnet
+from touchnet.data.closest_points import ClosestPoints
 from touchnet.data.dataset import TouchDataset
-from touchnet.data.exploration import ClosestPoints, simulate_touches
+from touchnet.data.exploration import simulate_touches
 from touchnet.explorer import Explorer
 from touchnet.metrics import sample_surface, volumetric_iou
 from touchnet.weights import load_model

@@ -22,8 +22,8 @@ from scipy.stats import spearmanr
 
 import touchnet
 from touchnet.confidence import DEFAULT, TOLERANCE, Calibration, features, vertex_normals, within
+from touchnet.data.closest_points import ClosestPoints
 from touchnet.data.dataset import ShapeFile, TouchDataset
-from touchnet.data.exploration import ClosestPoints
 from touchnet.data.samples import contact_rows
 from touchnet.frames import FILL, Frame
 from touchnet.reconstruction import reconstruct_field

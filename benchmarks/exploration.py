@@ -9,7 +9,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from benchmarks.cases import Case, benchmark
 from touchnet.data import GaussianProcess, simulate_touches
-from touchnet.data.exploration import ClosestPoints
+from touchnet.data.closest_points import ClosestPoints
 
 LENGTH, NOISE = 0.15, 1e-3
 

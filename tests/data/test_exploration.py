@@ -7,8 +7,10 @@ import point_cloud_utils as pcu
 import pytest
 import trimesh
 
-from touchnet.data import ClosestPoints, GaussianProcess, Surface, coverage, exploration, simulate_touches
-from touchnet.data.exploration import _in_plane, _Starts, _UpTheVariance
+from touchnet.data import ClosestPoints, GaussianProcess, Surface, coverage, simulate_touches
+from touchnet.data.exploration import surface as surface_module
+from touchnet.data.exploration.strokes import Starts, UpTheVariance
+from touchnet.data.exploration.vectors import in_plane
 
 STEP = 0.05
 
@@ -182,7 +184,7 @@ def test_any_kernel_and_noise_explores(sphere, kernel, length_scale, noise):
 
 def test_zero_gradient_falls_back_to_a_random_tangent(caplog):
     """G05: normalising a zero gradient must not give NaN."""
-    steer = _UpTheVariance(0.15, np.random.default_rng(0))
+    steer = UpTheVariance(0.15, np.random.default_rng(0))
 
     class Record:
         def __init__(self, gradient):
@@ -214,7 +216,7 @@ def test_next_start_has_the_highest_variance_of_all_candidates(kernel, noise):
     rng = np.random.default_rng(0)
     candidates = rng.uniform(-0.5, 0.5, (203, 3))
     gp = GaussianProcess(kernel, length_scale=0.3, noise=noise)
-    starts = _Starts(gp, candidates, np.zeros_like(candidates), 400)
+    starts = Starts(gp, candidates, np.zeros_like(candidates), 400)
     for added in (1, 1, 2, 10, 50, 3, 120):
         where = candidates[rng.integers(203)]
         gp.add(where + np.linspace(0, 0.01, added)[:, None])
@@ -226,8 +228,8 @@ def test_next_start_has_the_highest_variance_of_all_candidates(kernel, noise):
 
 
 def test_vector_in_plane():
-    assert _in_plane((3.0, 4.0, 7.0), (0.0, 0.0, 1.0)) == (0.6, 0.8, 0.0)
-    assert _in_plane((0.0, 0.0, 7.0), (0.0, 0.0, 1.0)) is None
+    assert in_plane((3.0, 4.0, 7.0), (0.0, 0.0, 1.0)) == (0.6, 0.8, 0.0)
+    assert in_plane((0.0, 0.0, 7.0), (0.0, 0.0, 1.0)) is None
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -416,7 +418,7 @@ def test_a_surface_serves_many_trajectories(bottle, monkeypatch):
     expected = [simulate_touches(bottle, 40, seed=seed) for seed in (0, 1)]
     surface = Surface(bottle)
     trees = []
-    monkeypatch.setattr(exploration, "ClosestPoints", lambda *mesh: trees.append(mesh) or ClosestPoints(*mesh))
+    monkeypatch.setattr(surface_module, "ClosestPoints", lambda *mesh: trees.append(mesh) or ClosestPoints(*mesh))
     for seed in (0, 1):
         for ours, theirs in zip(simulate_touches(surface, 40, seed=seed), expected[seed], strict=True):
             np.testing.assert_array_equal(ours, theirs)

@@ -1,7 +1,8 @@
 """Data: closing meshes, labelling points, simulating touches, reading and writing them."""
 
+from touchnet.data.closest_points import ClosestPoints
 from touchnet.data.dataset import ShapeFile, ShapeRecord, TouchDataset
-from touchnet.data.exploration import ClosestPoints, Surface, Touches, coverage, simulate_touches
+from touchnet.data.exploration import Surface, Touches, coverage, simulate_touches
 from touchnet.data.files import Points, read_mesh, read_points, split_strokes, write_mesh
 from touchnet.data.gp import GaussianProcess
 from touchnet.data.importers import find_meshes, load_mesh

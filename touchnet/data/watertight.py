@@ -14,7 +14,7 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage, sparse
 
-from touchnet.data.exploration import ClosestPoints
+from touchnet.data.closest_points import ClosestPoints
 from touchnet.ops import marching_cubes
 
 METHODS = ("auto", "manifold", "closing", "alpha_wrap")
