@@ -80,7 +80,7 @@ def test_vertex_normals_point_outwards_at_unit_length():
     assert np.linalg.norm(normals, axis=1) == pytest.approx(1)
 
 
-# --- with a reconstruction --------------------------------------------------------------------------------------------
+# with a reconstruction.
 
 
 def test_a_reconstruction_says_how_far_to_trust_it_in_its_own_unit():

@@ -137,7 +137,7 @@ def reason_not_to_run(command: str) -> str | None:
     )
 
 
-# --- stand-ins ------------------------------------------------------------------------------------------------------
+# stand-ins.
 
 
 def ball(width: float) -> trimesh.Trimesh:
@@ -223,7 +223,7 @@ def names_of_snippets() -> dict[str, object]:
     }  # fmt: skip
 
 
-# --- the tests ------------------------------------------------------------------------------------------------------
+# the tests.
 
 
 def test_every_block_is_known():

@@ -6,7 +6,7 @@ import torch
 
 import touchnet
 from tests.test_reconstruction import Ball, sphere
-from touchnet import explorer as module
+from touchnet import places
 from touchnet.explorer import Explorer
 from touchnet.meshes import distances_to
 
@@ -82,7 +82,7 @@ def test_the_covariance_is_that_of_the_gaussian_process_however_the_contacts_cam
     assert field.covariance.diagonal() == pytest.approx(process.gp.variance(field.unit), abs=1e-9)
     # Off the diagonal: V(x given contacts and y) = V(x) - C(x, y)² / (V(y) + noise²).
     other = session._gp.gp.variance(field.unit)
-    drop = field.covariance[:, 5] ** 2 / (other[5] + module.NOISE**2)
+    drop = field.covariance[:, 5] ** 2 / (other[5] + places.NOISE**2)
     process.gp.add(field.unit[5])
     assert process.gp.variance(field.unit) == pytest.approx(other - drop, abs=1e-9)
 
@@ -147,11 +147,11 @@ def test_contacts_that_outgrow_the_first_ones():
     assert (np.linalg.norm(suggested.positions, axis=1) > 0.9).all()
 
 
-# --- where the robot can go -------------------------------------------------------------------------------------------
+# where the robot can go.
 
 
 def test_so_many_contacts_are_thinned_evenly(monkeypatch):
-    monkeypatch.setattr(module, "MOST_KNOWN", 200)
+    monkeypatch.setattr(places, "MOST_KNOWN", 200)
     session = explorer(most(500))
     session.next(1)
     assert 80 < len(session._gp.gp) <= 100
@@ -230,7 +230,7 @@ def test_nothing_reachable():
         explorer(most(), reachable=lambda p, d: np.zeros(len(p), dtype=bool)).next()
 
 
-# --- bad input --------------------------------------------------------------------------------------------------------
+# bad input.
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ def quiet_means_quiet():
         yield
 
 
-# --- a field --------------------------------------------------------------------------------------------------------
+# a field.
 
 
 def test_f17_comes_back_in_millimetres(shared_data):
@@ -159,7 +159,7 @@ def test_field_errors(options, message):
         reconstruct_field(ball_field(UNIT, np.zeros(3), 0.5), UNIT, **options)
 
 
-# --- contacts -------------------------------------------------------------------------------------------------------
+# contacts.
 
 
 @pytest.mark.parametrize("up", ["x", "y", "z", None])
@@ -315,7 +315,7 @@ def test_pick_device():
             pick_device("cuda")
 
 
-# --- thinning -------------------------------------------------------------------------------------------------------
+# thinning.
 
 
 def test_thin_keeps_everything_that_fits():

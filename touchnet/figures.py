@@ -250,7 +250,7 @@ def _coloured(values: ArrayLike, count: int, limits: tuple[float, float] | None,
     return np.asarray(colormaps[scale](np.clip((values - low) / max(high - low, 1e-300), 0, 1)))[:, :3]
 
 
-# ---- contact sheets --------------------------------------------------------------------------------------------------
+# contact sheets.
 
 
 def save_gallery(

@@ -65,7 +65,7 @@ OctreeCubes::OctreeCubes(const Lattice& lattice, double level, int64_t stride, i
 
 void OctreeCubes::add_seeds(const double* points, int64_t count) { seeds_.assign(points, points + 3 * count); }
 
-// ---- Sparse storage
+// Sparse storage.
 
 OctreeCubes::Brick& OctreeCubes::find_brick(uint64_t key) {
   const uint64_t mask = table_.size() - 1;
@@ -156,7 +156,7 @@ void OctreeCubes::want(int32_t block, uint64_t cells) {
   b.wanted |= cells;
 }
 
-// ---- Queries
+// Queries.
 
 int64_t OctreeCubes::pending() const {
   return coarse_done_ ? pending_count_ : static_cast<int64_t>(coarse_values_.size());
@@ -267,7 +267,7 @@ void OctreeCubes::advance() {
   collect_pending();
 }
 
-// ---- Where to start
+// Where to start.
 
 void OctreeCubes::add_segment(const int64_t* start, int axis, int64_t length) {
   Segment segment{{start[0], start[1], start[2]}, axis, length};
@@ -362,7 +362,7 @@ void OctreeCubes::want_crossings(const Segment& segment) {
   }
 }
 
-// ---- Following the surface, a word of 64 cells at a time
+// Following the surface, a word of 64 cells at a time.
 
 void OctreeCubes::request_corners(int32_t block) {
   uint64_t need[8] = {blocks_[block].wanted & ~blocks_[block].asked};
@@ -416,7 +416,7 @@ void OctreeCubes::follow(int32_t block) {
   want(block, here);
 }
 
-// ---- Output
+// Output.
 
 OctreeCubes::Counts OctreeCubes::count() {
   order_.resize(blocks_.size());

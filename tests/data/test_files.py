@@ -46,7 +46,7 @@ def quiet_means_quiet():
         yield
 
 
-# --- the shared cases -----------------------------------------------------------------------------------------------
+# the shared cases.
 
 
 @pytest.fixture
@@ -157,7 +157,7 @@ def test_real_recording(shared_data):
     assert named.points[2].tolist() == [0.157477, 0.0, 0.0]
 
 
-# --- text -----------------------------------------------------------------------------------------------------------
+# text.
 
 
 @pytest.mark.parametrize(
@@ -342,7 +342,7 @@ def test_very_small_normals_keep_their_direction(tmp_path):
     assert np.allclose(read_points(write(tmp_path, "t.xyz", text)).normals, [[0.6, 0, 0.8]])
 
 
-# --- PLY ------------------------------------------------------------------------------------------------------------
+# PLY.
 
 PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "int": "i4", "float": "f4", "double": "f8"}
 
@@ -417,7 +417,7 @@ def test_ply_errors(tmp_path, content, message):
         read_points(write(tmp_path, "touches.ply", content))
 
 
-# --- PCD ------------------------------------------------------------------------------------------------------------
+# PCD.
 
 
 def lzf_pack(data):
@@ -516,7 +516,7 @@ def testdecompress_lzf():
         decompress_lzf(memoryview(b"\0a"), 9, "f")
 
 
-# --- NumPy ----------------------------------------------------------------------------------------------------------
+# NumPy.
 
 
 def npy(array, **options):
@@ -614,7 +614,7 @@ def test_npz_errors(tmp_path, content, message):
         read_points(write(tmp_path, "touches.npz", content))
 
 
-# --- meshes as clouds -----------------------------------------------------------------------------------------------
+# meshes as clouds.
 
 
 @pytest.mark.parametrize("suffix", ["ply", "obj", "stl", "glb"])
@@ -748,7 +748,7 @@ def test_read_mesh_errors(tmp_path, name, content, message):
     assert "\n" not in str(error.value)
 
 
-# --- strokes --------------------------------------------------------------------------------------------------------
+# strokes.
 
 
 def test_split_strokes():
@@ -761,7 +761,7 @@ def test_split_strokes():
         split_strokes(np.zeros(3))
 
 
-# --- the page for users ----------------------------------------------------------------------------------------------
+# the page for users.
 
 
 PAGE = Path(__file__).parents[2] / "docs" / "formats.md"
@@ -782,7 +782,7 @@ def test_the_snippets_of_the_page_run(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out == "4 False [0 0 1 1] 0\n"
 
 
-# --- damaged files --------------------------------------------------------------------------------------------------
+# damaged files.
 
 
 @pytest.mark.parametrize("count", [60_000])

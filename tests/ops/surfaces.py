@@ -8,7 +8,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
-# ---- Fields: points (M,3) -> values (M,), high inside, level 0, within [-1,1]^3.
+# Fields: points (M,3) -> values (M,), high inside, level 0, within [-1,1]^3.
 
 
 def torus(points: Tensor) -> Tensor:
@@ -63,7 +63,7 @@ class Table:
         return self.volume[at]
 
 
-# ---- Small random volumes
+# Small random volumes.
 
 
 def small_volumes(generator: torch.Generator, kind: str, count: int) -> Iterator[tuple[Tensor, float]]:
@@ -117,7 +117,7 @@ RANDOM_VOLUMES: dict[str, Callable[[torch.Generator, list[int]], tuple[Tensor, f
 }
 
 
-# ---- What is wrong with a mesh
+# What is wrong with a mesh.
 
 
 def faults(vertices: Tensor, faces: Tensor) -> dict[str, int]:

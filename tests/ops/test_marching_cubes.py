@@ -25,7 +25,7 @@ from touchnet.ops import marching_cubes
 from touchnet.ops._ext import _C
 from touchnet.reference.cubes import CORNERS, EDGES, FACE_EDGES, FACES, cube_loops, cube_triangles
 
-# ---- The proof of docs/marching_cubes.md, over all 256 cases
+# The proof of docs/marching_cubes.md, over all 256 cases.
 
 
 def sides_of(case: int) -> list[tuple[int, int]]:
@@ -118,7 +118,7 @@ def test_every_sign_field_of_two_neighbouring_cells_is_closed(axis):
     assert_closed(*join(marching_cubes(field.view(shape)) for field in fields))
 
 
-# ---- The promise
+# The promise.
 
 
 @pytest.mark.parametrize("kind", RANDOM_VOLUMES)
@@ -223,7 +223,7 @@ def test_the_result_does_not_depend_on_threads_or_layout(dtype, generator):
         assert torch.equal(found[0][0], other[0]) and torch.equal(found[0][1], other[1])
 
 
-# ---- Gradients
+# Gradients.
 
 
 def decided(generator: torch.Generator, *shape: int) -> torch.Tensor:
@@ -272,7 +272,7 @@ def test_a_ball_is_fitted_through_its_mesh():
     assert radius.item() == pytest.approx(wanted_radius, abs=0.01)
 
 
-# ---- Normals
+# Normals.
 
 
 def test_normals_of_a_ball_point_away_from_its_centre():
@@ -295,7 +295,7 @@ def test_normals_exist_without_a_gradient_and_beyond_the_box():
     assert normals.norm(dim=1).tolist() == pytest.approx([1.0] * len(normals))
 
 
-# ---- Known cases of other packages (CASES.md, group C)
+# Known cases of other packages (CASES.md, group C).
 
 
 def case(shared_data, name: str) -> torch.Tensor:
@@ -334,7 +334,7 @@ def test_i11_scattered_values_at_the_level(shared_data):
     assert_closed(*marching_cubes(volume, 0.0))
 
 
-# ---- Files
+# Files.
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e3, 5e6])
@@ -368,7 +368,7 @@ def test_i17_volume_is_positive_in_every_format():
         assert back.volume == pytest.approx(4 / 3 * np.pi * 0.7**3, rel=0.01)
 
 
-# ---- Refusals
+# Refusals.
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ class Counted:
         return self.field(points)
 
 
-# ---- Nothing lost, nothing extra
+# Nothing lost, nothing extra.
 
 
 @pytest.mark.parametrize("kind", RANDOM_VOLUMES)
@@ -137,7 +137,7 @@ def test_a_solid_that_meets_the_border_is_closed_there():
     assert signed_volume(*mesh).item() == pytest.approx(8, rel=1e-2)
 
 
-# ---- Resolutions and boxes
+# Resolutions and boxes.
 
 
 @pytest.mark.parametrize("resolution", [33, 50, 64, 65, 100])
@@ -187,7 +187,7 @@ def test_i15_many_vertices():
     assert_same_mesh(mesh, marching_cubes(on_lattice(field, 299), 0.0))
 
 
-# ---- Seeds
+# Seeds.
 
 
 @BOTH
@@ -220,7 +220,7 @@ def test_seeds_anywhere_change_nothing_where_there_is_no_surface():
     assert torch.equal(mesh[0], wanted[0]) and torch.equal(mesh[1], wanted[1])
 
 
-# ---- Gradients and normals
+# Gradients and normals.
 
 
 class Ball(torch.nn.Module):
@@ -288,7 +288,7 @@ def test_normals_are_those_of_the_field(function):
         function(lambda p: (0.5 - p.norm(dim=1)).detach(), resolution=8, level=0.0, normals=True)
 
 
-# ---- Refusals
+# Refusals.
 
 
 @BOTH
