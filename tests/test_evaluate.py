@@ -239,8 +239,11 @@ def test_points_are_scored_where_they_can_be(data: Path, tmp_path: Path) -> None
 
 
 def test_the_report_of_a_whole_run_opens_in_a_browser(data: Path, tmp_path: Path) -> None:
+    published = tmp_path / "published.csv"
+    published.write_text("source,method,category,measure,value\nA paper,hull <b>,bottle,F 1%,0.25\n")
     asked = config(
         data, tmp_path, contacts=(TOUCHES,), trajectories=1, limit=1, gallery=1, curves=("all",), curve_contacts=32,
+        published=published,
         curve_counts=(16, 32, 64), noises=(0.0, 0.02), strategies=("uniform",), orientations=("free",),
     )  # fmt: skip
     evaluate(asked)
@@ -255,4 +258,7 @@ def test_the_report_of_a_whole_run_opens_in_a_browser(data: Path, tmp_path: Path
         page.check()
         # Four curves of three measures; truth, touches, labelled, hull of two shapes; the exploration.
         assert page.evaluate("document.images.length") == 4 * 3 + 2 * 4 + 1
-        assert page.evaluate("document.querySelectorAll('table.figures').length") == 4
+        assert page.evaluate("document.querySelectorAll('table.figures').length") == 5
+        last = page.evaluate("[...document.querySelectorAll('table.figures')].at(-1).innerText")
+        assert last.split() == "source method category F 1% A paper hull <b> bottle 0.25".split()
+    assert report["published"] == [{"source": "A paper", "method": "hull <b>", "category": "bottle", "F 1%": "0.25"}]

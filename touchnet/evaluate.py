@@ -22,6 +22,7 @@ from touchnet.evaluation.options import EvaluateConfig
 from touchnet.evaluation.page import write_page
 from touchnet.evaluation.pictures import read_strips, save_rows, save_trajectory
 from touchnet.evaluation.progress import collect
+from touchnet.evaluation.published import read_published
 from touchnet.evaluation.summary import Summary, summarise
 from touchnet.evaluation.tables import COLUMNS, Table, as_text, definitions, tables_of
 
@@ -47,6 +48,7 @@ def evaluate(config: EvaluateConfig, *, command: str = "") -> Evaluation:
         "take": config.take,
         "protocols": list(config.protocols),
     }
+    published = [] if config.published is None else [read_published(config.published)]
     progress = config.output / "progress.jsonl"
     if progress.exists() and not (config.resume or config.force):
         raise ValueError(f"{config.output} holds results; --resume goes on with them, --force replaces them")
@@ -62,8 +64,8 @@ def evaluate(config: EvaluateConfig, *, command: str = "") -> Evaluation:
     summaries = summarise(rows, measures, seed=config.seed, unseen=unseen)
     label = functools.partial(label_of, methods)
     curves = curves_of(summaries, config, methods, label, training_shapes(methods, data.categories[0]))
-    tables = tables_of(summaries, config, label)
-    write_files(config, settings, rows, summaries, curves, command)
+    tables = tables_of(summaries, config, label) + published
+    write_files(config, settings, rows, summaries, curves, published, command)
     pictures = read_strips(config.output, dict.fromkeys(row["shape"] for row in rows))
     save_rows(config.output, pictures)
     if pictures:

@@ -18,7 +18,7 @@ from touchnet.evaluation.curves import Curve
 from touchnet.evaluation.measure import result_keys
 from touchnet.evaluation.options import EvaluateConfig
 from touchnet.evaluation.summary import Summary
-from touchnet.evaluation.tables import definitions
+from touchnet.evaluation.tables import Table, definitions
 
 
 def write_files(
@@ -27,6 +27,7 @@ def write_files(
     rows: Sequence[dict[str, Any]],
     summaries: Sequence[Summary],
     curves: Sequence[Curve],
+    published: Sequence[Table],
     command: str,
 ) -> None:
     """results.csv, summary.csv and report.json, each whole or not at all."""
@@ -48,6 +49,7 @@ def write_files(
         "definitions": definitions(config),
         "summary": means,
         "curves": [_as_json(curve) for curve in curves],
+        "published": [dict(zip(table.header, line, strict=True)) for table in published for line in table.lines],
         "results": [{name: _jsonable(value) for name, value in row.items()} for row in rows],
     }
     with outputs.atomic_output(config.output / "report.json", force=True) as path:

@@ -57,6 +57,9 @@ class EvaluateConfig:
     curves: tuple[Curve, ...] = ()
     """What else to vary, one thing at a time: the number of contacts (--curve-counts), the noise of their positions
     (--noises), the strategy of the exploration (--strategies), the orientation of the object (--orientations)."""
+    published: Path | None = None
+    """CSV file of figures that others published, of other data, to stand in a table apart. Its columns: source, method,
+    category, measure, value."""
     curve_contacts: int = 512
     """Number of contacts on the curves over noise, strategy and orientation."""
     curve_counts: tuple[int, ...] = CONTACTS
