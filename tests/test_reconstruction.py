@@ -10,7 +10,7 @@ from touchnet.data.files import read_mesh, read_points, write_mesh
 from touchnet.frames import Frame
 from touchnet.meshes import check_closed
 from touchnet.models import TouchNet
-from touchnet.reconstruction import pick_device, reconstruct_field, reconstruct_mesh, thin
+from touchnet.reconstruction import reconstruct_field, reconstruct_mesh
 
 
 class Ball(torch.nn.Module):
@@ -303,48 +303,3 @@ def test_a_real_network_gives_a_closed_mesh():
         mesh = reconstruct_mesh(sphere(200), normals=sphere(200), weights=model, resolution=32)
     check_closed(mesh)
     assert not model.training
-
-
-def test_pick_device():
-    assert pick_device("cpu") == torch.device("cpu")
-    assert pick_device("auto").type in ("cpu", "cuda")
-    with pytest.raises(ValueError, match='device should be "auto", "cpu" or "cuda", got \'meta\''):
-        pick_device("meta")
-    if not torch.cuda.is_available():
-        with pytest.raises(ValueError, match="finds no CUDA device"):
-            pick_device("cuda")
-
-
-# thinning.
-
-
-def test_thin_keeps_everything_that_fits():
-    assert thin(sphere(50), 50).tolist() == list(range(50))
-
-
-@pytest.mark.parametrize("count", [1, 2, 10, 100, 999])
-def test_thin_keeps_about_as_many_as_asked_for(count):
-    kept = thin(sphere(1000), count)
-    assert count / 4 <= len(kept) <= count
-    assert (np.diff(kept) > 0).all()
-
-
-def test_thin_spares_places_touched_once():
-    crowd = np.random.default_rng(0).normal(size=(5000, 3)) * 0.01
-    lonely = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]])
-    kept = thin(np.vstack([crowd, lonely]), 100)
-    assert {5000, 5001, 5002} <= set(kept.tolist())
-
-
-def test_thin_does_not_depend_on_the_order():
-    points = sphere(2000)
-    shuffle = np.random.default_rng(1).permutation(2000)
-    assert set(shuffle[thin(points[shuffle], 300)]) == set(thin(points, 300))
-
-
-def test_thin_of_equal_points():
-    assert len(thin(np.ones((50, 3)), 10)) == 1
-    with pytest.raises(ValueError, match="count should be at least 1, got 0"):
-        thin(sphere(10), 0)
-    with pytest.raises(ValueError, match=r"shape \(N, 3\)"):
-        thin(np.zeros(3), 1)

@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
 from touchnet import ops
+from touchnet.contacts import thin
 from touchnet.data.gp import GaussianProcess
 from touchnet.frames import Frame
 from touchnet.meshes import fill_cavities
-from touchnet.reconstruction import thin
 
 # How far apart contacts lie is measured to the NEIGHBOURS-th nearest one, at the quantile SPARSE of the contacts:
 # where a trajectory left gaps, not along its strokes. The scales below are in this unit.

@@ -6,8 +6,9 @@ import numpy as np
 import torch
 from torch import nn
 
+from touchnet.contacts import check_contacts
+from touchnet.device import pick_device
 from touchnet.frames import Frame
-from touchnet.reconstruction import check_contacts, pick_device
 
 
 def complete_points(

@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from torch import nn
 
+from touchnet.contacts import check_contacts
+from touchnet.device import pick_device
 from touchnet.frames import FILL, Frame
 from touchnet.places import Places, Process, Suggestions
 from touchnet.reconstruction import (
     Reconstruction,
     Up,
-    check_contacts,
-    pick_device,
     ready_model,
     reconstruct_with_field,
 )

@@ -13,11 +13,12 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from touchnet import ops
+from touchnet.contacts import thin
 from touchnet.data.gp import _KERNELS, _LANES, GaussianProcess
 from touchnet.frames import FILL, Frame
 from touchnet.metrics import sample_surface
 from touchnet.ops._ext import _C
-from touchnet.reconstruction import Reconstruction, thin
+from touchnet.reconstruction import Reconstruction
 
 CANDIDATES = 1024  # places on the surface among which the next touches are chosen
 LENGTH_SCALE = 0.15  # how far one touch tells, as a share of the longest side of the contacts

@@ -115,7 +115,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     import torch
 
-    from touchnet.reconstruction import pick_device
+    from touchnet.device import pick_device
     from touchnet.weights import load_model
 
     torch.manual_seed(options.seed)

@@ -152,8 +152,8 @@ def _step_maker(contacts: Points, suggestions: int, options: Options) -> Callabl
     """What makes the step after so many contacts; what goes wrong becomes a note of the step."""
     import torch
 
+    from touchnet.device import pick_device
     from touchnet.explorer import Explorer
-    from touchnet.reconstruction import pick_device
     from touchnet.viewer.scene import Step, Suggestion
     from touchnet.weights import load_model
 
