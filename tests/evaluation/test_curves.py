@@ -1,9 +1,10 @@
 """Which points lie on which curve."""
 
 import functools
+import re
 from pathlib import Path
 
-from touchnet.evaluation.curves import colours_of, curves_of, draw_curve
+from touchnet.evaluation.curves import Curve, Point, colours_of, curves_of, draw_curve
 from touchnet.evaluation.methods import Method, label_of
 from touchnet.evaluation.options import EvaluateConfig
 from touchnet.evaluation.summary import Setting, Summary
@@ -57,3 +58,17 @@ def test_a_drawing_is_the_same_svg_every_time() -> None:
     assert set(colours) == {"hull"}
     first = draw_curve(curves[0], colours)
     assert first.startswith(b"<?xml") and first == draw_curve(curves[0], colours)
+
+
+def test_twenty_lines_can_be_told_apart_and_their_names_stand_beside_them() -> None:
+    names = [f"method {k}" for k in range(20)]
+    points = [Point(8, 0.5, 0.4, 0.6), Point(16, 0.8, 0.7, 0.9)]
+    curve = Curve("contacts", "contacts", "iou", "mean", dict.fromkeys(names, points))
+    colours = colours_of([curve])
+    assert len(set(colours.values())) == 20
+    text = draw_curve(curve, colours).decode()
+    width = float(re.search(r'viewBox="0 0 ([0-9.]+)', text)[1])
+    name_at = [float(x) for x in re.findall(r'x="([0-9.]+)"[^>]*>method', text)]
+    axes_end = max(float(x) for x in re.findall(r'x="([0-9.]+)"[^>]*>16<', text))
+    assert len(name_at) == 20
+    assert axes_end + 20 < min(name_at) < width

@@ -141,7 +141,7 @@ def training_shapes(methods: Mapping[str, Method], category: str) -> dict[str, i
 
 
 def draw_curve(curve: Curve, colours: Mapping[str, tuple[str, str]]) -> bytes:
-    """The curve as SVG, with bootstrap intervals.
+    """The curve as SVG, with bootstrap intervals where no more than nine lines share the drawing.
 
     Args:
         colours: colour and mark of each label, the same in all drawings.
@@ -151,7 +151,8 @@ def draw_curve(curve: Curve, colours: Mapping[str, tuple[str, str]]) -> bytes:
     from matplotlib.figure import Figure
 
     column = COLUMNS[curve.measure]
-    figure = Figure(figsize=(5.2, 3.6), layout="constrained")
+    crowded = len(curve.lines) > len(COLOURS)  # the names then stand beside the lines
+    figure = Figure(figsize=(7.4, 4.8) if crowded else (5.2, 3.6), layout="constrained")
     FigureCanvasSVG(figure)
     axes = figure.add_subplot()
     places = list(dict.fromkeys(point.x for points in curve.lines.values() for point in points))
@@ -162,7 +163,7 @@ def draw_curve(curve: Curve, colours: Mapping[str, tuple[str, str]]) -> bytes:
         x = [places.index(point.x) if named else point.x for point in points]
         y = [point.value * column.factor for point in points]
         axes.plot(x, y, color=colour, marker=mark, markersize=4, linewidth=1.6, label=label)
-        if all(point.low is not None for point in points):
+        if not crowded and all(point.low is not None for point in points):
             low, high = ([getattr(point, end) * column.factor for point in points] for end in ("low", "high"))
             axes.fill_between(x, low, high, color=colour, alpha=0.12, linewidth=0)
     if named:
@@ -179,7 +180,10 @@ def draw_curve(curve: Curve, colours: Mapping[str, tuple[str, str]]) -> bytes:
         axes.set_ylim(bottom=0)
     axes.grid(color="#e4e7ec", linewidth=0.8)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(fontsize=7, frameon=False)
+    if crowded:
+        figure.legend(fontsize=7, frameon=False, loc="outside right upper")
+    else:
+        axes.legend(fontsize=7, frameon=False)
     written = io.BytesIO()
     with rc_context({"svg.hashsalt": "touchnet", "svg.fonttype": "none"}):  # the same bytes every time, text as text
         figure.savefig(written, format="svg", metadata={"Date": None})
@@ -187,6 +191,7 @@ def draw_curve(curve: Curve, colours: Mapping[str, tuple[str, str]]) -> bytes:
 
 
 def colours_of(curves: Sequence[Curve]) -> dict[str, tuple[str, str]]:
-    """A colour and a mark for every label."""
+    """A colour and a mark for every label, no pair twice among 81."""
     labels = sorted({label for curve in curves for label in curve.lines})
-    return {label: (COLOURS[k % len(COLOURS)], MARKS[k % len(MARKS)]) for k, label in enumerate(labels)}
+    n = len(COLOURS)
+    return {label: (COLOURS[k % n], MARKS[(k + k // n) % n]) for k, label in enumerate(labels)}
