@@ -319,7 +319,7 @@ def threads() -> Iterator[Case]:
         ("trilinear forward into out=", lambda: ops.trilinear_sample(volume, points, out=out), 1.7),
         ("trilinear backward to the volume", gradient(ops.trilinear_sample, (leaf, points), leaf), None),
         ("trilinear backward to the points", gradient(ops.trilinear_sample, (volume, moving), moving), 1.7),
-        ("gridding", lambda: ops.gridding(points, 64), None),
+        ("gridding", lambda: ops.gridding(points, 64), 1.7),
     ]
     for name, action, target in actions:
         yield Case(f"{name} M1e6, two threads", on(2, action), on(1, action), "one thread", target)

@@ -1,6 +1,7 @@
 #include "gridding.h"
 
 #include <cstring>
+#include <memory>
 
 #include "block.h"
 #include "slabs.h"
@@ -90,11 +91,40 @@ void add_values(const T* points, const T* values, std::int64_t n, T* item, const
   });
 }
 
+// Very many points in a small volume: in slabs every thread would look at all of them. Here each share of the points
+// has a volume of its own, and the volumes are added in order. The number of shares is fixed, so that the bits do not
+// depend on the number of threads.
+constexpr int kShares = 4;
+constexpr std::int64_t kManyPoints = 1 << 16;
+
+template <typename T>
+void add_density_in_shares(const T* points, std::int64_t n, T* item, const VolumeShape& shape, int threads) {
+  const std::int64_t elements = std::int64_t(shape.nx) * shape.ny * shape.nz;
+  const std::unique_ptr<T[]> others(new T[(kShares - 1) * elements]);
+  parallel_for(0, kShares, threads, [&](std::int64_t first, std::int64_t last) {
+    for (std::int64_t share = first; share < last; ++share) {
+      T* own = share == 0 ? item : others.get() + (share - 1) * elements;
+      std::memset(own, 0, sizeof(T) * elements);
+      const std::int64_t begin = n * share / kShares, end = n * (share + 1) / kShares;
+      add_density(points + 3 * begin, end - begin, own, shape, 0, shape.nx);
+    }
+  });
+  parallel_for(0, elements, threads, [&](std::int64_t first, std::int64_t last) {
+    for (int other = 0; other < kShares - 1; ++other)
+      for (std::int64_t i = first; i < last; ++i) item[i] += others[other * elements + i];
+  });
+}
+
 }  // namespace
 
 template <typename T>
 void gridding_forward(const T* points, const T* values, std::int64_t n, T* volume, VolumeShape shape, int threads) {
   const std::int64_t count = shape.channels - 1;
+  if (count == 0 && n >= kManyPoints && 2 * shape.nx * std::int64_t(shape.ny) * shape.nz <= n) {
+    for (std::int64_t b = 0; b < shape.batch; ++b)
+      add_density_in_shares(points + 3 * b * n, n, volume + b * shape.stride_b, shape, threads);
+    return;
+  }
   const auto add = [&](std::int64_t b, std::int64_t low, std::int64_t high) {
     T* item = volume + b * shape.stride_b;
     if (count == 0)

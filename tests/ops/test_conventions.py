@@ -100,6 +100,21 @@ def test_same_bits_for_every_number_of_threads(layout, dtype, threads, generator
             assert torch.equal(a, b)
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("size", [(16, 17, 18), (64, 64, 64)])  # divided by points, by rows of the volume
+def test_very_many_points_in_a_volume(size, dtype, threads, generator):
+    points = 1.1 * random_points(generator, 2, 70_000, dtype=dtype)  # some outside
+    points[0, 123] = torch.nan
+    threads(1)
+    volume = ops.gridding(points, size)
+    for count in (2, 3, 7):
+        threads(count)
+        assert torch.equal(ops.gridding(points, size), volume)
+    exact = reference.gridding(points.double(), size)
+    error = (volume.double() - exact).abs().max() / exact.max()
+    assert error < (5e-6 if dtype == torch.float32 else 1e-14)
+
+
 def test_backward_is_repeatable_bit_for_bit(threads, generator):
     threads(2)
     points = (0.01 + 0.1 * torch.rand(1, 500, 3, generator=generator)).requires_grad_()  # all in one cell
