@@ -49,6 +49,23 @@ def explorer() -> Iterator[Case]:
         f"{MORE} contacts more, mesh at 128^3", add_and_mesh, limit=MESH_WITHIN, limit_name="of 500 ms", repeats=5
     )
 
+    alone = Explorer(touches.points, weights=model)
+    alone.mesh()
+
+    def add_points_and_mesh() -> None:
+        alone.add(next(batches)[0])
+        alone.mesh()
+
+    yield Case(
+        f"{MORE} contacts more without normals, mesh at 128^3",
+        add_points_and_mesh,
+        lambda: Explorer(alone.points, weights=model).mesh(),
+        "a new session",
+        limit=MESH_WITHIN,
+        limit_name="of 500 ms",
+        repeats=5,
+    )
+
     def all_anew() -> None:
         session.add(*next(batches))
         session.next(SUGGESTIONS, refit=True)
