@@ -52,6 +52,6 @@ def test_the_kernels_run_on_the_threads_of_torch():
         torchs = threads()
         data = Volumes()
         data[0]
-        assert threads() == torchs
+        assert threads() <= torchs  # those of earlier tests may end meanwhile
     finally:
         torch.set_num_threads(before)
