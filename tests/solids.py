@@ -1,4 +1,4 @@
-"""A small data set of balls and boxes, whose right answers are known; shared by the tests of the evaluation."""
+"""Balls and boxes, whose right answers are known, and a small data set of them; shared by the tests of measures."""
 
 from pathlib import Path
 
@@ -9,6 +9,16 @@ from touchnet.data.dataset import Index, ShapeRecord, write_index, write_shape
 from touchnet.metrics import inside_mesh, sample_surface
 
 TOUCHES = 96
+
+
+def sphere(radius: float, *, centre: tuple[float, float, float] = (0, 0, 0), subdivisions: int = 4) -> trimesh.Trimesh:
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
+    mesh.apply_translation(centre)
+    return mesh
+
+
+def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> trimesh.Trimesh:
+    return trimesh.creation.box(bounds=[low, high])
 
 
 def write_shape_file(directory: Path, name: str, mesh: trimesh.Trimesh, split: str = "test") -> ShapeRecord:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from tests.solids import box, sphere
 from touchnet import metrics
 from touchnet.metrics import (
     DEFINITIONS,
@@ -12,16 +13,6 @@ from touchnet.metrics import (
     point_to_mesh,
     surface_keys,
 )
-
-
-def sphere(radius: float, *, centre: tuple[float, float, float] = (0, 0, 0), subdivisions: int = 4) -> trimesh.Trimesh:
-    mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
-    mesh.apply_translation(centre)
-    return mesh
-
-
-def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> trimesh.Trimesh:
-    return trimesh.creation.box(bounds=[low, high])
 
 
 def test_truth_against_itself_is_perfect() -> None:

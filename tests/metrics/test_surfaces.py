@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from tests.solids import box
 from touchnet.metrics import is_closed, point_to_mesh, sample_surface
-
-
-def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> trimesh.Trimesh:
-    return trimesh.creation.box(bounds=[low, high])
 
 
 def test_closed_means_two_faces_an_edge_in_opposite_directions() -> None:

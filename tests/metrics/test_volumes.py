@@ -5,17 +5,8 @@ import pytest
 import torch
 import trimesh
 
+from tests.solids import box, sphere
 from touchnet.metrics import inside_mesh, volumetric_iou
-
-
-def sphere(radius: float, *, centre: tuple[float, float, float] = (0, 0, 0), subdivisions: int = 4) -> trimesh.Trimesh:
-    mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
-    mesh.apply_translation(centre)
-    return mesh
-
-
-def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> trimesh.Trimesh:
-    return trimesh.creation.box(bounds=[low, high])
 
 
 def test_iou_of_labels() -> None:
