@@ -196,9 +196,7 @@ class Explorer:
     def _reconstruct(self, resolution: int) -> Reconstruction:
         # Estimates made of few contacts may hold on to an error that those of all contacts would not make.
         guess = None if self._fit is None or len(self) >= STALE * self._afresh else self._fit.normals
-        if guess is None:
-            self._afresh = len(self)
-        return reconstruct_with_field(
+        fit = reconstruct_with_field(
             self._points,
             normals=self.normals,
             up=self.up,
@@ -208,6 +206,9 @@ class Explorer:
             level=self.level,
             guess=guess,
         )
+        if guess is None:
+            self._afresh = len(self)
+        return fit
 
     def _is_stale(self) -> bool:
         new = self._points[self._fitted :]
