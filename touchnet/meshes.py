@@ -53,8 +53,8 @@ def distances_to(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
     """Distances from points to the surface of a mesh whose faces are of about one size.
 
     Only the faces at the 8 vertices nearest to a point are looked at: exact next to the surface; elsewhere the result
-    may be too large by a small part of itself. A tree of all faces takes twice as long for a large mesh, and the compiled
-    extension, which a reconstruction can do without.
+    may be too large by a small part of itself. A tree of all faces takes twice as long for a large mesh, and needs the
+    compiled extension, which a reconstruction can do without.
 
     Args:
         mesh: with at least one face.
