@@ -69,21 +69,30 @@ TN_INLINE bool all_finite(T x, T y, T z) {
   return zero == T(0);
 }
 
-// Corner c of a cell, c = 4 di + 2 dj + dk with d in {0, 1}: its trilinear weight and the weight's derivatives.
+// Change per cell along each axis.
+template <typename T>
+struct CellGradient {
+  T x, y, z;
+};
+
+// A cell's trilinear weights: corner c = 4 di + 2 dj + dk with d in {0, 1}.
 template <typename T>
 struct Cell {
   AxisCell<T> x, y, z;
 
   TN_INLINE T weight_xy(int c) const { return (c & 4 ? x.t : T(1) - x.t) * (c & 2 ? y.t : T(1) - y.t); }
   TN_INLINE T weight(int c) const { return weight_xy(c) * (c & 1 ? z.t : T(1) - z.t); }
-  TN_INLINE T weight_dx(int c) const {
-    return ((c & 4 ? x.slope : -x.slope) * (c & 2 ? y.t : T(1) - y.t)) * (c & 1 ? z.t : T(1) - z.t);
-  }
-  TN_INLINE T weight_dy(int c) const {
-    return ((c & 4 ? x.t : T(1) - x.t) * (c & 2 ? y.slope : -y.slope)) * (c & 1 ? z.t : T(1) - z.t);
-  }
-  TN_INLINE T weight_dz(int c) const {
-    return ((c & 4 ? x.t : T(1) - x.t) * (c & 2 ? y.t : T(1) - y.t)) * (c & 1 ? z.slope : -z.slope);
+
+  // The gradient of the interpolated value, sum over c of weight(c) v[c]: linear interpolation along x, then y, then z;
+  // the difference of each stage is the derivative of the value before it. Times the slopes it is the one per unit.
+  TN_INLINE CellGradient<T> gradient(const T (&v)[8]) const {
+    const T tx = x.t, ty = y.t, tz = z.t;
+    const T d00 = v[4] - v[0], d01 = v[5] - v[1], d10 = v[6] - v[2], d11 = v[7] - v[3];
+    const T m00 = v[0] + tx * d00, m01 = v[1] + tx * d01, m10 = v[2] + tx * d10, m11 = v[3] + tx * d11;
+    const T e0 = m10 - m00, e1 = m11 - m01;
+    const T n0 = m00 + ty * e0, n1 = m01 + ty * e1;
+    return {((T(1) - ty) * d00 + ty * d10) * (T(1) - tz) + ((T(1) - ty) * d01 + ty * d11) * tz,
+            (T(1) - tz) * e0 + tz * e1, n1 - n0};
   }
 };
 

@@ -145,9 +145,11 @@ class SampleConfig:
     """Share of the samples that lose all contacts on one side."""
     no_normals: float = 0.6
     """Share of the samples that come without contact normals; half of them then get estimated ones."""
-    noise: float = 0.3
-    """Share of the samples with noisy contacts: positions up to 0.5 % of the longest side, normals up to 10
-    degrees."""
+    noise: float = 0.4
+    """Share of the samples with noisy contacts: positions up to `noise_sigma`, normals up to 10 degrees."""
+    noise_sigma: float = 0.02
+    """Largest standard deviation of a contact's position, in longest sides of the contacts; small ones are drawn more
+    often (a quarter of the samples with noise lies under a sixteenth of it)."""
     stretch: float = 0.5
     """Share of the samples scaled by 0.75 ... 1.33 along each axis."""
     rotate_up: float = 0.2

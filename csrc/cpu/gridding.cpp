@@ -147,7 +147,7 @@ void gridding_backward(const T* grad_volume, VolumeShape shape, const T* points,
       T along[8][Block<T>::kSize];  // d loss / d weight of each corner
       for_blocks<T>(first, last, n, [&](std::int64_t b, std::int64_t start, int size) TN_LAMBDA_INLINE {
         block.locate(points + 3 * start, size, shape, Outside::ignore);
-        block.trilinear_weights(size);
+        if (count > 0) block.trilinear_weights(size);
         const T* item = grad_volume + b * shape.stride_b;
         for (int p = 0; p < size; ++p) {
           const T* base = item + block.offset[p];
@@ -167,15 +167,12 @@ void gridding_backward(const T* grad_volume, VolumeShape shape, const T* points,
         T gradient[3][Block<T>::kSize];
         for (int p = 0; p < size; ++p) {
           const Cell<T> cell = block.cell(p);
-          T dx = T(0), dy = T(0), dz = T(0);
-          for (int corner = 0; corner < 8; ++corner) {
-            dx += cell.weight_dx(corner) * along[corner][p];
-            dy += cell.weight_dy(corner) * along[corner][p];
-            dz += cell.weight_dz(corner) * along[corner][p];
-          }
-          gradient[0][p] = block.counts[p] ? dx : T(0);
-          gradient[1][p] = block.counts[p] ? dy : T(0);
-          gradient[2][p] = block.counts[p] ? dz : T(0);
+          T values[8];
+          for (int corner = 0; corner < 8; ++corner) values[corner] = along[corner][p];
+          const CellGradient<T> change = cell.gradient(values);
+          gradient[0][p] = block.counts[p] ? cell.x.slope * change.x : T(0);
+          gradient[1][p] = block.counts[p] ? cell.y.slope * change.y : T(0);
+          gradient[2][p] = block.counts[p] ? cell.z.slope * change.z : T(0);
         }
         for (int p = 0; p < size; ++p)
           for (int axis = 0; axis < 3; ++axis) grad_points[3 * (start + p) + axis] = gradient[axis][p];

@@ -141,7 +141,7 @@ void gridding_reverse_forward(const T* volume, VolumeShape shape, T fill, T* poi
                          place(padded, y0, step_y, fill, inverse, y);
                          place<const T*>(padded, z_of.data() + start, step_z, fill, inverse, z);
                          T* __restrict point = line + 3 * start;
-                         for (int k = 0; k < count; ++k) {
+                         for (int k = 0; k < padded; ++k) {  // the row's last point is overwritten below
                            point[3 * k] = x[k];
                            point[3 * k + 1] = y[k];
                            point[3 * k + 2] = z[k];
@@ -182,11 +182,14 @@ void gridding_reverse_backward(const T* grad_points, const T* volume, VolumeShap
                            const T* g = item_grad + 3 * (i * plane + j * nz + start);
                            gradients(padded, g, upper_x, {step_x, step_y, step_z}, x, y, z, inverse, at_y0, at_y1,
                                      above_y0, above_y1);
+                           if (padded > count) at_y0[count] = at_y1[count] = above_y0[count] = above_y1[count] = T(0);
+                           // Above the padding lies the next row, which a plane's last one does not have.
+                           const int added = j < ny - 2 ? padded : count;
                            T* line = result + j * nz + start;
-                           add(count, at_y0, line);
-                           add(count, above_y0, line + 1);
-                           add(count, at_y1, line + nz);
-                           add(count, above_y1, line + nz + 1);
+                           add(added, at_y0, line);
+                           add(added, above_y0, line + 1);
+                           add(added, at_y1, line + nz);
+                           add(added, above_y1, line + nz + 1);
                          }
                        }
                      }

@@ -5,6 +5,7 @@
 
 #include "block.h"
 #include "slabs.h"
+#include "stream.h"
 
 namespace touchnet {
 namespace {
@@ -131,23 +132,17 @@ void sample_backward_volume(const T* grad_out, const T* points, std::int64_t m, 
   scatter_in_slabs(grad_volume, shape, points, m, 10.0 + 1.0 * channels, threads, add);
 }
 
-// The derivative of the interpolated value along each axis in cell units, times the output's gradient, added into
-// sum[axis][lane]. Linear interpolation along x, then y, then z; each stage's difference is the derivative before it.
+// The gradients of the interpolated values, times the output's gradient, added into sum[axis][lane].
 template <int lanes, typename T>
-TN_INLINE void add_derivatives(const T* base, const Corners& corners, const Cell<T>& cell, const T* gradient, T* sum_x,
-                               T* sum_y, T* sum_z) {
-  const T x = cell.x.t, y = cell.y.t, z = cell.z.t;
+TN_INLINE void add_gradients(const T* base, const Corners& corners, const Cell<T>& cell, const T* gradient, T* sum_x,
+                             T* sum_y, T* sum_z) {
   for (int l = 0; l < lanes; ++l) {
-    const T* v = base + l;
-    const T v000 = v[corners.at[0]], v001 = v[corners.at[1]], v010 = v[corners.at[2]], v011 = v[corners.at[3]];
-    const T d00 = v[corners.at[4]] - v000, d01 = v[corners.at[5]] - v001;
-    const T d10 = v[corners.at[6]] - v010, d11 = v[corners.at[7]] - v011;
-    const T m00 = v000 + x * d00, m01 = v001 + x * d01, m10 = v010 + x * d10, m11 = v011 + x * d11;
-    const T e0 = m10 - m00, e1 = m11 - m01;
-    const T n0 = m00 + y * e0, n1 = m01 + y * e1;
-    sum_x[l] += gradient[l] * (((T(1) - y) * d00 + y * d10) * (T(1) - z) + ((T(1) - y) * d01 + y * d11) * z);
-    sum_y[l] += gradient[l] * ((T(1) - z) * e0 + z * e1);
-    sum_z[l] += gradient[l] * (n1 - n0);
+    T values[8];
+    for (int corner = 0; corner < 8; ++corner) values[corner] = base[corners.at[corner] + l];
+    const CellGradient<T> along = cell.gradient(values);
+    sum_x[l] += gradient[l] * along.x;
+    sum_y[l] += gradient[l] * along.y;
+    sum_z[l] += gradient[l] * along.z;
   }
 }
 
@@ -182,10 +177,10 @@ void trilinear_backward_points(const T* grad_out, const T* volume, VolumeShape s
           std::int64_t c = 0;
           if (shape.stride_c == 1)
             for (; c + lanes <= channels; c += lanes)
-              add_derivatives<lanes>(base + c, corners, cell, gradient + c, x, y, z);
+              add_gradients<lanes>(base + c, corners, cell, gradient + c, x, y, z);
           for (; c < channels; ++c) {
             const int l = static_cast<int>(c % lanes);
-            add_derivatives<1>(base + c * shape.stride_c, corners, cell, gradient + c, x + l, y + l, z + l);
+            add_gradients<1>(base + c * shape.stride_c, corners, cell, gradient + c, x + l, y + l, z + l);
           }
           T* result = grad_points + 3 * (start + p);
           const bool finite = block.counts[p];
@@ -225,6 +220,7 @@ void cubic_forward(const T* volume, VolumeShape shape, const T* points, std::int
   const Corners corners(shape);
   const std::int64_t channels = shape.channels;
   const double microseconds = shape.batch * m * (6.0 + 3.0 * channels) * 1e-3;
+  const bool streams = worth_streaming(sizeof(T) * shape.batch * m * 8 * channels);
   parallel_for(0, shape.batch * m, worth_threads(microseconds, threads), [&](std::int64_t first, std::int64_t last) {
     Block<T> block;
     for_blocks<T>(first, last, m, [&](std::int64_t b, std::int64_t start, int count) {
@@ -239,13 +235,16 @@ void cubic_forward(const T* volume, VolumeShape shape, const T* points, std::int
         for (int corner = 0; corner < 8; ++corner) {
           const T* vertex = item + block.offset[p] + corners.at[corner];
           T* row = rows + corner * channels;
-          if (shape.stride_c == 1)
+          if (shape.stride_c == 1 && streams)
+            stream_copy(row, vertex, sizeof(T) * channels);
+          else if (shape.stride_c == 1)
             std::memcpy(row, vertex, sizeof(T) * channels);
           else
             for (std::int64_t c = 0; c < channels; ++c) row[c] = vertex[c * shape.stride_c];
         }
       }
     });
+    if (streams) stream_fence();
   });
 }
 

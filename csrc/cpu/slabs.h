@@ -6,11 +6,13 @@
 #pragma once
 
 #include <algorithm>
+#include <cstdlib>
 #include <cstring>
 #include <vector>
 
 #include "cell.h"
 #include "parallel.h"
+#include "stream.h"
 
 namespace touchnet {
 
@@ -20,7 +22,14 @@ void zero_rows(T* volume, const VolumeShape& shape, std::int64_t b, std::int64_t
   const std::int64_t plane = std::int64_t(shape.ny) * shape.nz;
   T* item = volume + b * shape.stride_b;
   if (shape.channels > 1 && shape.stride_c == 1) {  // channels last
-    std::memset(item + low * shape.stride_x, 0, sizeof(T) * (high - low) * plane * shape.channels);
+    T* begin = item + low * shape.stride_x;
+    const std::size_t bytes = sizeof(T) * (high - low) * plane * shape.channels;
+    if (worth_streaming(sizeof(T) * shape.batch * shape.channels * shape.nx * plane)) {
+      stream_zero(begin, bytes);
+      stream_fence();
+    } else {
+      std::memset(begin, 0, bytes);
+    }
   } else {
     for (std::int64_t c = 0; c < shape.channels; ++c)
       std::memset(item + c * shape.stride_c + low * shape.stride_x, 0, sizeof(T) * (high - low) * plane);
@@ -53,6 +62,11 @@ std::vector<std::int64_t> balanced_slabs(const VolumeShape& shape, const T* poin
   for (std::int64_t row = 0; row < rows && t < threads; ++row) {
     sum += cost[row];
     while (t < threads && sum >= total * t / threads) bounds[t++] = row + 1;
+  }
+  // A few rows of a batch item cost a look at all of its points: leave them to the thread that has the rest.
+  for (t = 1; t < threads; ++t) {
+    const std::int64_t item = (bounds[t] + shape.nx / 2) / shape.nx * shape.nx;
+    if (std::abs(bounds[t] - item) <= shape.nx / 8) bounds[t] = item;
   }
   return bounds;
 }

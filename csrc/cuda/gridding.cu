@@ -49,15 +49,10 @@ void gridding_backward(const T* grad_volume, VolumeShape shape, const T* points,
       if (grad_values) grad_values[p * count + k] = counts ? sum : T(0);
     }
     if (!grad_points) return;
-    T x = T(0), y = T(0), z = T(0);
-    for (int corner = 0; corner < 8; ++corner) {
-      x += cell.weight_dx(corner) * along[corner];
-      y += cell.weight_dy(corner) * along[corner];
-      z += cell.weight_dz(corner) * along[corner];
-    }
-    grad_points[3 * p] = counts ? x : T(0);
-    grad_points[3 * p + 1] = counts ? y : T(0);
-    grad_points[3 * p + 2] = counts ? z : T(0);
+    const CellGradient<T> change = cell.gradient(along);
+    grad_points[3 * p] = counts ? cell.x.slope * change.x : T(0);
+    grad_points[3 * p + 1] = counts ? cell.y.slope * change.y : T(0);
+    grad_points[3 * p + 2] = counts ? cell.z.slope * change.z : T(0);
   });
 }
 

@@ -87,20 +87,21 @@ void trilinear_backward_points(const T* grad_out, const T* volume, VolumeShape s
     A x = A(0), y = A(0), z = A(0);
     for (std::int64_t channel = lane; channel < shape.channels; channel += kGroup) {
       const A gradient = read<T, A>(grad_out + p * shape.channels + channel);
-      for (int corner = 0; corner < 8; ++corner) {
-        const A value = gradient * read<T, A>(base + channel * shape.stride_c + shape.corner(corner));
-        x += cell.weight_dx(corner) * value;
-        y += cell.weight_dy(corner) * value;
-        z += cell.weight_dz(corner) * value;
-      }
+      A values[8];
+      for (int corner = 0; corner < 8; ++corner)
+        values[corner] = read<T, A>(base + channel * shape.stride_c + shape.corner(corner));
+      const CellGradient<A> along = cell.gradient(values);
+      x += gradient * along.x;
+      y += gradient * along.y;
+      z += gradient * along.z;
     }
     x = group_sum(x);
     y = group_sum(y);
     z = group_sum(z);
     if (lane != 0) return;
-    grad_points[3 * p] = finite ? x : A(0);
-    grad_points[3 * p + 1] = finite ? y : A(0);
-    grad_points[3 * p + 2] = finite ? z : A(0);
+    grad_points[3 * p] = finite ? cell.x.slope * x : A(0);
+    grad_points[3 * p + 1] = finite ? cell.y.slope * y : A(0);
+    grad_points[3 * p + 2] = finite ? cell.z.slope * z : A(0);
   });
 }
 

@@ -143,6 +143,20 @@ def test_one_side_is_left_out():
     assert len(whole) == 2048 and 0.7 * 2048 < len(cut) < 0.97 * 2048
 
 
+def test_noise_is_small_as_a_rule_and_bounded():
+    config = dataclasses.replace(STILL, min_contacts=1500, noise=1, noise_sigma=0.02, no_normals=1)
+    exact = dataclasses.replace(config, noise=0)
+    ratios = []
+    for epoch in range(60):
+        noisy, still = (contacts_of(draw(one, epoch=epoch)) for one in (config, exact))
+        # The noise enlarges the box that the frame fits into the cube; undo that before comparing.
+        noisy, still = noisy - noisy.mean(axis=0), still - still.mean(axis=0)
+        scale = (noisy * still).sum() / (noisy**2).sum()
+        ratios.append((scale * noisy - still).std() / np.ptp(still, axis=0).max())
+    assert 0.01 < max(ratios) < 0.0205
+    assert np.quantile(ratios, 0.2) < 0.0025 and np.median(ratios) < 0.008
+
+
 def test_shapes_without_trajectories_are_touched_on_their_surface():
     sample = draw(STILL, shapes=Shapes(Wedge(trajectories=0)))
     assert len(contacts_of(sample)) >= 64

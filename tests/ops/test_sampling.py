@@ -201,6 +201,29 @@ def test_errors(volume, points, error, words, name, module):
         getattr(module, name)(volume, points)
 
 
+@pytest.mark.parametrize("channels", [37, 40])
+def test_volumes_too_large_for_a_cache(channels, device, generator):
+    # More than csrc/cpu/stream.h's 24 MB: what is written past the caches has to be there all the same, rows of any
+    # alignment, on memory that held something else.
+    volume = torch.randn(2, channels, 44, 45, 46, generator=generator).to(device)
+    volume = volume.contiguous(memory_format=torch.channels_last_3d).requires_grad_()
+    points = random_points(generator, 2, 600).to(device)
+    for name in SAMPLERS:
+        torch.empty_like(volume).fill_(float("nan"))
+        got, expected = getattr(ops, name)(volume, points), getattr(reference, name)(volume, points)
+        grad = torch.randn(got.shape, generator=generator).to(device)
+        (ours,), (theirs,) = (torch.autograd.grad(each, volume, grad) for each in (got, expected))
+        torch.testing.assert_close(ours, theirs, rtol=2e-5, atol=2e-5)
+
+
+@pytest.mark.parametrize("channels", [64, 67])
+def test_rows_too_many_for_a_cache(channels, device, generator):
+    volume = torch.randn(1, channels, 5, 6, 7, generator=generator).to(device)
+    volume = volume.contiguous(memory_format=torch.channels_last_3d)
+    points = random_points(generator, 1, 13_000).to(device)
+    assert torch.equal(ops.cubic_sample(volume, points), reference.cubic_sample(volume, points))
+
+
 def test_more_elements_than_32_bits_count(device, generator):
     """A volume of 2**31 + elements that takes no memory: expanded along channels, sampled where offsets are largest."""
     plane = torch.randn(1, 1, 8, 8, 8, generator=generator).to(device)

@@ -64,7 +64,8 @@ class TrainingSamples(Dataset):
         contacts, normals = contacts @ transform.T, _unit(normals @ np.linalg.inv(transform))
         if rng.random() < config.noise:
             side = np.ptp(contacts, axis=0).max()
-            contacts = contacts + rng.normal(scale=0.005 * side * rng.random(), size=contacts.shape)
+            sigma = config.noise_sigma * side * rng.random() ** 2
+            contacts = contacts + rng.normal(scale=sigma, size=contacts.shape)
             normals = _unit(normals + rng.normal(scale=np.deg2rad(10) * rng.random(), size=normals.shape))
         if rng.random() < config.no_normals:
             normals = np.zeros_like(normals)
