@@ -166,6 +166,7 @@ def test_results_are_neither_mixed_nor_overwritten_unasked(data: Path, tmp_path:
         (["--contacts", "0"], "contacts must be at least 1, got 0"),
         (["--split", "val"], "has no shape in split 'val'"),
         (["--categories", "tree"], "categories should be out of ball, box, got tree"),
+        (["--groups", "ball+tree"], "groups should join categories out of ball, box by +, got ball+tree"),
         (["--jobs", "0"], "jobs must be at least 1, got 0"),
         (["--methods", "magic"], "magic"),
         (["--methods", "model", "--weights", "missing.safetensors"], "missing.safetensors"),

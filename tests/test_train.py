@@ -283,20 +283,38 @@ def test_a_killed_run_leaves_whole_files_and_resumes_to_the_same_weights(eggs, t
 
 
 @pytest.mark.slow
-def test_two_processes_train_as_one(eggs, tmp_path):
+def test_two_processes_train_as_one_and_so_do_two_machines(eggs, tmp_path):
     arguments = [
         "-m", "touchnet.train", "--data", str(eggs), "--model", "tiny", "--steps", "8", "--samples.queries", "256",
         "--samples.max-contacts", "256", "--device", "cpu", "--workers", "0",
     ]  # fmt: skip
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    launch = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--master-port", "29533"]
-    for prefix, name in [([sys.executable], "one"), (launch, "two")]:
-        done = subprocess.run(
-            [*prefix, *arguments, "-o", str(tmp_path / name)], env=environment, capture_output=True, text=True
-        )
-        assert done.returncode == 0, done.stderr
-    one, two = weights_of(tmp_path / "one"), weights_of(tmp_path / "two")
-    assert max((one[name] - two[name]).abs().max().item() for name in one) < 1e-4
+    launch = [sys.executable, "-m", "torch.distributed.run"]
+    # The command of docs/training.md for several machines, with one process each; both are this one.
+    machine = [
+        *launch, "--nnodes", "2", "--nproc-per-node", "1", "--rdzv-backend", "c10d", "--rdzv-endpoint",
+        "localhost:29534", "--local-addr", "localhost",
+    ]  # fmt: skip
+    ways = {
+        "one": [[sys.executable]],
+        "processes": [[*launch, "--nproc-per-node", "2", "--master-port", "29533"]],
+        "machines": [machine, machine],
+    }
+    for name, prefixes in ways.items():
+        runs = [
+            subprocess.Popen(
+                [*prefix, *arguments, "-o", str(tmp_path / name)], env=environment, stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT, text=True,
+            )
+            for prefix in prefixes
+        ]  # fmt: skip
+        for run in runs:
+            said = run.communicate(timeout=300)[0]
+            assert run.returncode == 0, said
+    one = weights_of(tmp_path / "one")
+    for name in ("processes", "machines"):
+        other = weights_of(tmp_path / name)
+        assert max((one[key] - other[key]).abs().max().item() for key in one) < 1e-4
 
 
 def test_batches_cover_each_epoch_and_do_not_depend_on_where_they_start_or_on_processes():

@@ -40,6 +40,9 @@ def evaluate(config: EvaluateConfig, *, command: str = "") -> Evaluation:
     data = open_data(config)
     if len(data) == 0:
         raise ValueError(f"{config.data} has no shape in split {config.split!r}")
+    for group in config.groups:
+        if not set(group.split("+")) <= set(data.categories):
+            raise ValueError(f"groups should join categories out of {', '.join(data.categories)} by +, got {group}")
     settings = {
         "data": hashlib.sha256((config.data / INDEX).read_bytes()).hexdigest()[:16],
         "resolution": config.resolution,
@@ -61,7 +64,7 @@ def evaluate(config: EvaluateConfig, *, command: str = "") -> Evaluation:
     rows = collect(config, methods, settings, progress)
     measures = [name for name in result_keys(config) if name in COLUMNS]
     unseen = unseen_categories(TouchDataset(config.data).records)
-    summaries = summarise(rows, measures, seed=config.seed, unseen=unseen)
+    summaries = summarise(rows, measures, seed=config.seed, unseen=unseen, groups=config.groups)
     label = functools.partial(label_of, methods)
     curves = curves_of(summaries, config, methods, label, training_shapes(methods, data.categories[0]))
     tables = tables_of(summaries, config, label) + published

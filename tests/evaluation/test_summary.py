@@ -52,6 +52,15 @@ def test_seen_and_unseen_categories_apart() -> None:
     assert {s.category for s in summarise(rows, ["iou"], seed=0, unseen=["d"])} == {"a", "b", "c", "mean"}
 
 
+def test_groups_pool_the_shapes_of_their_categories() -> None:
+    rows = [row("a/1", 0, 0.2, 1.0), row("a/2", 0, 0.4, 1.0), row("b/1", 0, 0.9, 1.0), row("c/1", 0, 0.1, 1.0)]
+    found = {s.category: s for s in summarise(rows, ["iou"], seed=0, groups=["a+b", "c+z", "z"])}
+    assert list(found) == ["a", "b", "c", "a+b", "c+z", "mean"]
+    assert found["a+b"].value == pytest.approx(0.5) and found["a+b"].shapes == 3  # each shape counts the same
+    assert 0.2 <= found["a+b"].low < 0.5 < found["a+b"].high <= 0.9
+    assert found["c+z"].value == found["c"].value and found["mean"].value == pytest.approx((0.3 + 0.9 + 0.1) / 3)
+
+
 def test_a_measure_that_a_method_does_not_have_is_left_out() -> None:
     points = [{**row("a/1", 0, np.nan, 2.0), "method": "points"}]
     found = {

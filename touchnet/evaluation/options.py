@@ -43,6 +43,8 @@ class EvaluateConfig:
     """Which shapes."""
     categories: tuple[str, ...] = ()
     """Only these categories."""
+    groups: tuple[str, ...] = ()
+    """Categories joined by +, such as car+truck, to be summed up together too: each shape counts the same."""
     limit: int | None = None
     """At most this many shapes a category: a quick look."""
     trajectories: int | None = None

@@ -35,7 +35,7 @@ class Summary(NamedTuple):
     """A measure of a method: mean over the trajectories of a shape, then over shapes, then over categories."""
 
     setting: Setting
-    category: str  # or "mean": over all categories, "seen", "unseen": over those (not) trained on
+    category: str  # or a group, or "mean": over all categories, "seen", "unseen": over those (not) trained on
     measure: str
     value: float | None  # None: every result was empty and the measure infinite
     low: float | None  # bootstrap interval over shapes; None for a single shape
@@ -62,7 +62,12 @@ class _Cell(NamedTuple):
 
 
 def summarise(
-    rows: Sequence[dict[str, Any]], measures: Iterable[str], *, seed: int, unseen: Collection[str] = ()
+    rows: Sequence[dict[str, Any]],
+    measures: Iterable[str],
+    *,
+    seed: int,
+    unseen: Collection[str] = (),
+    groups: Iterable[str] = (),
 ) -> list[Summary]:
     """Means, bootstrap intervals over shapes and spreads, per category and over categories with equal weight.
 
@@ -74,27 +79,30 @@ def summarise(
         measures: names of their columns.
         seed: of the resampling.
         unseen: categories that no network was trained on; they and the others get means of their own.
+        groups: categories joined by "+", whose shapes are pooled with equal weight, beside the categories.
     """
-    groups: dict[Setting, list[dict[str, Any]]] = {}
+    by_setting: dict[Setting, list[dict[str, Any]]] = {}
     for row in rows:
-        groups.setdefault(Setting(*(row[name] for name in Setting._fields)), []).append(row)
+        by_setting.setdefault(Setting(*(row[name] for name in Setting._fields)), []).append(row)
     summaries = []
-    for setting, group in groups.items():
-        categories = sorted({row["category"] for row in group})
+    for setting, chosen in by_setting.items():
+        categories = sorted({row["category"] for row in chosen})
+        pools = {group: [row for row in chosen if row["category"] in group.split("+")] for group in groups}
         parts = {MEAN: categories}
         if 0 < len(set(categories) & set(unseen)) < len(categories):
             parts[SEEN] = [category for category in categories if category not in unseen]
             parts[UNSEEN] = [category for category in categories if category in unseen]
         for measure in measures:
-            if all(math.isnan(row[measure]) for row in group):
+            if all(math.isnan(row[measure]) for row in chosen):
                 continue
             # The same resamples for every method and measure, so their intervals can be compared.
             generator = np.random.default_rng(seed)
             cells = {
-                category: _cell([row for row in group if row["category"] == category], measure, generator)
+                category: _cell([row for row in chosen if row["category"] == category], measure, generator)
                 for category in categories
             }
-            summaries += [_joined(setting, category, measure, [cell]) for category, cell in cells.items()]
+            pooled = {group: _cell(members, measure, generator) for group, members in pools.items() if members}
+            summaries += [_joined(setting, name, measure, [cell]) for name, cell in (cells | pooled).items()]
             for name, members in parts.items():
                 summaries.append(_joined(setting, name, measure, [cells[category] for category in members]))
     return summaries
