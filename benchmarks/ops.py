@@ -100,6 +100,17 @@ def cubic_by_index_select(volume: Tensor, points: Tensor) -> Tensor:
     return rows.view(*points.shape[:2], 8, -1)
 
 
+def cubic_by_gather(volume: Tensor, points: Tensor) -> Tensor:
+    """On a channels-first volume, as GRNet keeps it."""
+    n = volume.shape[2]
+    lower, _ = cell_of(points, n)
+    base = (lower[..., 0] * n + lower[..., 1]) * n + lower[..., 2]
+    offsets = torch.tensor([(di * n + dj) * n + dk for di in (0, 1) for dj in (0, 1) for dk in (0, 1)])
+    vertices = (base[..., None] + offsets).flatten(1)[:, None].expand(-1, volume.shape[1], -1)
+    rows = volume.flatten(2).gather(2, vertices).transpose(1, 2)
+    return rows.reshape(*points.shape[:2], 8, -1)
+
+
 def gradient(function, inputs: tuple[Tensor, ...], wanted: Tensor):
     """An action that runs only the backward pass of a recorded call."""
     out = function(*inputs)
@@ -235,15 +246,20 @@ def other_samplers() -> Iterator[Case]:
     volume = torch.randn(4, 128, 8, 8, 8, generator=generator()).contiguous(memory_format=torch.channels_last_3d)
     points = random_points(generator(), 4, 2048)
     written = 4 * 2048 * 8 * 128 * 4
-    yield Case(
-        "cubic B4 N2048 C128 R8",
-        lambda: ops.cubic_sample(volume, points),
-        lambda: cubic_by_index_select(volume, points),
-        "index_select",
-        4,
-        least_seconds(written, written),
-        "moving the bytes",
-    )
+    first = volume.contiguous()
+    for name, peer, theirs, target in (
+        ("gather, channels first", cubic_by_gather, first, 4),
+        ("index_select", cubic_by_index_select, volume, None),
+    ):
+        yield Case(
+            "cubic B4 N2048 C128 R8",
+            lambda: ops.cubic_sample(volume, points),
+            lambda peer=peer, theirs=theirs: peer(theirs, points),
+            name,
+            target,
+            least_seconds(written, written),
+            "moving the bytes",
+        )
     leaf, theirs = (volume.clone().requires_grad_() for _ in range(2))
     yield Case(
         "cubic backward B4 N2048 C128 R8",
