@@ -101,8 +101,8 @@ PYBIND11_MODULE(_C, m) {
            })
       .def(
           "query",
-          [](const Head& head, Address points, std::int64_t n, Address values, int threads) {
-            head.query(at<const float>(points), n, at<float>(values), threads);
+          [](const Head& head, Address points, std::int64_t n, Address values, int threads, bool wide) {
+            head.query(at<const float>(points), n, at<float>(values), threads, wide);
           },
           Unlocked())
       .def_static("is_supported", &Head::is_supported);

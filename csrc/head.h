@@ -25,10 +25,10 @@ class Head {
   // then the outputs of the layer added last; the last layer has one output.
   void add_layer(const float* weight, const float* bias, std::int64_t inputs, std::int64_t outputs);
 
-  // values (m) at points (m, 3), contiguous.
-  void query(const float* points, std::int64_t m, float* values, int threads) const;
+  // values (m) at points (m, 3), contiguous; by AVX-512 where `wide` and the processor has it, to the same bits.
+  void query(const float* points, std::int64_t m, float* values, int threads, bool wide = true) const;
 
-  // Whether this processor has the instructions that the kernel is written in (AVX2 and fused multiply-add).
+  // Whether this processor has the instructions that the kernel needs (AVX2 and fused multiply-add).
   static bool is_supported();
 
  private:

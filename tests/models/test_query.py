@@ -59,6 +59,18 @@ def test_compiled_widths_that_do_not_fill_a_register_block(widths):
 
 
 @pytest.mark.skipif(not CompiledHead.is_supported(), reason="no AVX2")
+def test_both_instruction_sets_give_the_same_bits():
+    volumes, head = make()
+    layers = [layer for layer in head if isinstance(layer, nn.Linear)]
+    weights, biases = ([getattr(layer, name).detach() for layer in layers] for name in ("weight", "bias"))
+    points = torch.rand(1000, 3, generator=torch.Generator().manual_seed(1)) * 2.2 - 1.1
+    points[7] = torch.nan
+    narrow, wide = (CompiledHead(volumes, weights, biases, trilinear=True, wide=wide)(points) for wide in (False, True))
+    assert torch.equal(narrow.isnan(), wide.isnan()) and narrow.isnan().sum() == 1
+    assert torch.equal(narrow.nan_to_num(), wide.nan_to_num())
+
+
+@pytest.mark.skipif(not CompiledHead.is_supported(), reason="no AVX2")
 def test_compiled_values_depend_on_the_point_alone():
     query = HeadQuery(*make(), sigmoid=False)
     points = torch.rand(20_000, 3, generator=torch.Generator().manual_seed(2)) * 2 - 1
