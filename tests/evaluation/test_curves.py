@@ -4,10 +4,15 @@ import functools
 import re
 from pathlib import Path
 
-from touchnet.evaluation.curves import Curve, Point, colours_of, curves_of, draw_curve
+import pytest
+import torch
+
+from touchnet.evaluation.curves import Curve, Point, colours_of, curves_of, draw_curve, training_shapes
 from touchnet.evaluation.methods import Method, label_of
 from touchnet.evaluation.options import EvaluateConfig
 from touchnet.evaluation.summary import Setting, Summary
+from touchnet.models import TouchNet
+from touchnet.weights import save_weights
 
 METHODS = {
     name: Method(name, lambda *arguments: None, (False,), files=(name,)) for name in ("hull", "fi@10", "fi@30", "other")
@@ -24,6 +29,17 @@ def summary(method: str, value: float | None, contacts: int, noise=0.0, strategy
 def lines(summaries, shapes=None):
     curves = curves_of(summaries, CONFIG, METHODS, LABEL, shapes or {})
     return {curve.name: {k: [(p.x, p.value) for p in line] for k, line in curve.lines.items()} for curve in curves}
+
+
+@pytest.mark.parametrize(
+    ("note", "found"),
+    [('{"shapes": 30}', {"net": 30}), ("{}", {}), ("none", {}), ("[1]", {}), ('{"shapes": "many"}', {})],
+)
+def test_a_note_of_the_training_that_says_nothing_is_no_reason_to_fail(tmp_path: Path, note: str, found: dict) -> None:
+    torch.manual_seed(0)
+    save_weights(TouchNet("tiny"), tmp_path / "net.safetensors", notes={"training": note})
+    methods = {"net": Method("net", lambda *arguments: None, (True,), files=(str(tmp_path / "net.safetensors"),))}
+    assert training_shapes(methods, "cup") == found
 
 
 def test_each_curve_varies_one_thing() -> None:

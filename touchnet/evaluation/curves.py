@@ -128,15 +128,18 @@ def _order(x: float | str) -> float:
 
 
 def training_shapes(methods: Mapping[str, Method], category: str) -> dict[str, int]:
-    """How many shapes the networks were trained on, as the headers of their weights tell."""
+    """How many shapes the networks were trained on, where the headers of their weights tell."""
     from touchnet.weights import read_notes
 
     found = {}
     for name, method in methods.items():
-        if method.files:
-            training = json.loads(read_notes(method.weights(0, category)).get("training", "{}"))
-            if "shapes" in training:
-                found[name] = training["shapes"]
+        note = read_notes(method.weights(0, category)).get("training", "{}") if method.files else "{}"
+        try:
+            training = json.loads(note)
+        except json.JSONDecodeError:  # weights of others say what they like there
+            continue
+        if isinstance(training, dict) and isinstance(training.get("shapes"), int):
+            found[name] = training["shapes"]
     return found
 
 
