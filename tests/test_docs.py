@@ -175,7 +175,7 @@ def stand_ins(tmp_path_factory) -> Path:
     for folder in ("DIR", "data", "data/real", "DATA"):
         build(sources, here / folder, parameters, progress=False)
     torch.manual_seed(0)
-    for folder in ("runs/mine", "runs/mine/model", "runs/first", "runs/default"):
+    for folder in ("runs/mine", "runs/mine/model", "runs/first", "runs/second", "runs/third"):
         (here / folder).mkdir(parents=True, exist_ok=True)
         save_weights(TouchNet("tiny"), here / folder / "weights.safetensors")
     (here / "examples").symlink_to(ROOT / "examples")
@@ -281,6 +281,7 @@ def test_the_commands_of_a_block_run(block, place, capfd):
         elif "<(" in command:
             piped(command)
         elif command.startswith("touchnet"):
+            AcceleratorState._reset_state(reset_partial_state=True)  # each command is a process of its own
             status = main(quick(shlex.split(command)[1:]))
             assert status == 0, f"{command}: {capfd.readouterr().err}"
         else:

@@ -38,7 +38,7 @@ class Calibration(NamedTuple):
     shape: float
 
 
-DEFAULT = Calibration((-0.606, 0.288, 0.226, 0.275, 0.298), 1.19)
+DEFAULT = Calibration((-0.683, 0.239, 0.255, 0.272, 0.314), 1.18)
 
 
 def expected_error(
