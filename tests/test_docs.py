@@ -67,6 +67,7 @@ SMALLER = {  # values that make a command slow, and what stands in for them
     "--contacts": "64",
     "--epochs": "1",
     "--shapes": "3",
+    "--groups": None,
     "--recipe": None,
     "--minutes": None,
     "--model": "tiny",
