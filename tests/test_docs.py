@@ -39,7 +39,7 @@ NOT_RUN = {
     "make lint": "is run by CI beside the tests",
     "pip install .": "builds for a minute and downloads; CI installs the package before it runs the tests",
     "torchrun": "several processes; tests/test_train.py trains with them",
-    "srun": "several machines",
+    "sbatch": "a cluster's command; tests/test_train.py runs the script with stand-ins for SLURM's",
     "accelerate launch": "several processes; tests/test_train.py trains with them",
     "python -m benchmarks": "measures for minutes; it needs a quiet machine or real data",
     "python docs/pictures.py": "half a minute; tests/test_examples.py runs the simulation and reconstruction it draws",

@@ -1,10 +1,12 @@
 import dataclasses
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -224,6 +226,12 @@ def test_each_category_gets_a_network_of_its_own(eggs, tmp_path):
     assert main([*arguments, "--resume"]) == 0  # finished: passed over
 
 
+def test_each_category_of_none_is_refused(eggs, tmp_path, capsys):
+    nothing = ["--category", "each", "--exclude-licence", "GPL", "CC0", "-o", str(tmp_path / "runs")]
+    assert main(["--data", str(eggs), *nothing]) == 2
+    assert "there is no shape to train on" in capsys.readouterr().err
+
+
 def test_a_stop_in_mid_epoch_resumes_exactly(eggs, tmp_path, monkeypatch):
     straight = options(eggs, tmp_path / "straight", steps=7)
     train(straight)
@@ -315,6 +323,40 @@ def test_two_processes_train_as_one_and_so_do_two_machines(eggs, tmp_path):
     for name in ("processes", "machines"):
         other = weights_of(tmp_path / name)
         assert max((one[key] - other[key]).abs().max().item() for key in one) < 1e-4
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="a shell script")
+def test_slurm_job_trains_and_goes_on_when_requeued(eggs, tmp_path):
+    """examples/train.sbatch with stand-ins for SLURM's commands: one machine, the step's command run as it is."""
+    stand_ins = {
+        "scontrol": 'test "$*" = "show hostnames localhost" && echo localhost\n',
+        "srun": 'test "$1" = --cpus-per-task=2 && shift && exec "$@"\n',
+        "torchrun": f'exec {shlex.quote(sys.executable)} -m torch.distributed.run --local-addr localhost "$@"\n',
+    }
+    for name, script in stand_ins.items():
+        (tmp_path / name).write_text(f"#!/bin/sh\n{script}")
+        (tmp_path / name).chmod(0o755)
+    environment = {
+        **os.environ, "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}", "OMP_NUM_THREADS": "1",
+        "SLURM_JOB_NODELIST": "localhost", "SLURM_JOB_ID": "9535", "SLURM_NNODES": "1", "SLURM_CPUS_PER_TASK": "2",
+    }  # fmt: skip
+
+    arguments = [
+        "--data", str(eggs), "--model", "tiny", "--schedule", "constant", "--samples.queries", "256",
+        "--samples.max-contacts", "256", "--device", "cpu", "--workers", "0",
+    ]  # fmt: skip
+
+    def run(*command):
+        said = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+        assert said.returncode == 0, said.stdout + said.stderr
+
+    script = Path(__file__).parents[1] / "examples" / "train.sbatch"
+    for steps in ("2", "4"):
+        run("sh", script, tmp_path / "job", *arguments, "--steps", steps)
+    run(sys.executable, "-m", "touchnet.train", "--output", tmp_path / "straight", *arguments, "--steps", "4")
+    job, straight = weights_of(tmp_path / "job"), weights_of(tmp_path / "straight")
+    assert max((job[key] - straight[key]).abs().max().item() for key in job) < 1e-4
 
 
 def test_batches_cover_each_epoch_and_do_not_depend_on_where_they_start_or_on_processes():

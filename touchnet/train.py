@@ -26,7 +26,7 @@ from tqdm import tqdm
 from touchnet import cli
 from touchnet.allocator import tune_allocator
 from touchnet.data.dataset import TouchDataset
-from touchnet.data.samples import Sample, TrainingSamples
+from touchnet.data.samples import NO_SHAPES, Sample, TrainingSamples
 from touchnet.losses import Loss
 from touchnet.models import build_model
 from touchnet.objectives import objective_of, validate
@@ -116,7 +116,7 @@ def train(config: TrainConfig) -> dict[str, float]:
     average = Average(network, recipe.average)
     start, earlier = 0, 0.0
     if config.resume:
-        start, earlier = load_checkpoint(checkpoint, network, average, optimizer, recipe, accelerator.device)
+        start, earlier = load_checkpoint(checkpoint, network, average, optimizer, recipe)
         if budget.spent(start, earlier):
             raise NothingLeft(
                 f"resume: {checkpoint} is at step {start} after {earlier / 60:.1f} minutes, nothing is left of "
@@ -239,7 +239,10 @@ def train_each(config: TrainConfig) -> None:
     if len(config.category) > 1:
         raise ValueError(f"category {EACH!r} stands alone, got {', '.join(config.category)}")
     data = config.data or embedded_data(config)
-    for category in TouchDataset(data, "train", exclude_licences=config.exclude_licence).categories:
+    categories = TouchDataset(data, "train", exclude_licences=config.exclude_licence).categories
+    if not categories:
+        raise ValueError(NO_SHAPES)
+    for category in categories:
         output = config.output / category
         resume = config.resume and (output / "checkpoint.pt").exists()
         print(f"{category}:")

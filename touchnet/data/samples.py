@@ -11,6 +11,8 @@ from touchnet.config import SampleConfig
 from touchnet.data.dataset import ShapeFile, TouchDataset
 from touchnet.frames import Frame
 
+NO_SHAPES = "data: there is no shape to train on (see its split, categories and licences)"
+
 
 class Sample(NamedTuple):
     """Arrays in cube coordinates; collated by torch's default collate function into a batch of tensors."""
@@ -33,7 +35,7 @@ class TrainingSamples(Dataset):
 
     def __init__(self, data: TouchDataset, config: SampleConfig, *, seed: int = 0) -> None:
         if len(data) == 0:
-            raise ValueError("data: there is no shape to train on (see its split, categories and licences)")
+            raise ValueError(NO_SHAPES)
         self.data, self.config, self.seed = data, config, seed
         shapes = [data.shape(i) for i in range(len(data))]
         trajectories = [max(1, len(shape.array("touches"))) for shape in shapes]

@@ -41,10 +41,10 @@ def load_checkpoint(
     average: Average,
     optimizer: torch.optim.Optimizer,
     recipe: Recipe,
-    device: torch.device,
 ) -> tuple[int, float]:
     """Restores what :func:`save_checkpoint` wrote; returns the step to go on from and the seconds until there."""
-    state = torch.load(path, map_location=device, weights_only=True)
+    # Not the device: in a group of processes the processor is "cpu:0", which torch.load does not know.
+    state = torch.load(path, map_location="cpu", weights_only=True)
     if state["model"] != dataclasses.asdict(recipe.model):
         raise ValueError(
             f"resume: {path} holds the model {state['model']}, asked for {dataclasses.asdict(recipe.model)}"
