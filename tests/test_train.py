@@ -326,6 +326,27 @@ def test_two_processes_train_as_one_and_so_do_two_machines(eggs, tmp_path):
 
 
 @pytest.mark.slow
+def test_two_processes_train_each_category_in_turn(tmp_path):
+    records = []
+    for i, category in enumerate(("egg", "lens")):
+        file = f"shapes/{category}/0.safetensors"
+        checksum = ellipsoid(tmp_path / "data" / file, [1, 0.8, 0.4], seed=i)
+        records.append(ShapeRecord(f"{category}/0", category, "train", "made", "CC0-1.0", file, checksum))
+    write_index(tmp_path / "data", Index(0, {"sigmas": [0.01, 0.05]}, records, []))
+    command = [
+        sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--master-port", "29536", "-m",
+        "touchnet.train", "--data", tmp_path / "data", "--category", "each", "-o", tmp_path / "runs", "--model",
+        "tiny", "--steps", "1", "--samples.queries", "64", "--device", "cpu", "--workers", "0",
+    ]  # fmt: skip
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    said = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    assert said.returncode == 0, said.stdout + said.stderr
+    assert [line for line in said.stdout.splitlines() if line in ("egg:", "lens:")] == ["egg:", "lens:"]
+    for category in ("egg", "lens"):
+        assert load_model(tmp_path / "runs" / category / "weights.safetensors")
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="a shell script")
 def test_slurm_job_trains_and_goes_on_when_requeued(eggs, tmp_path):
     """examples/train.sbatch with stand-ins for SLURM's commands: one machine, the step's command run as it is."""

@@ -34,7 +34,7 @@ from touchnet.training.average import Average
 from touchnet.training.batches import StepBatches, pieces_of, steps_per_epoch
 from touchnet.training.checkpoints import load_checkpoint, save_checkpoint
 from touchnet.training.log import Log, draw_reconstructions, trained_with
-from touchnet.training.options import TrainConfig, described, resolve_recipe
+from touchnet.training.options import Recipe, TrainConfig, described, resolve_recipe
 from touchnet.training.schedule import ENDLESS, budget_of, learning_rate
 from touchnet.training.stop import stop_requests
 from touchnet.weights import load_model, save_weights
@@ -71,12 +71,7 @@ def train(config: TrainConfig) -> dict[str, float]:
     if config.resume and not checkpoint.exists():
         raise FileNotFoundError(f"resume: there is no checkpoint {checkpoint}")
     tune_allocator()
-    accelerator = Accelerator(
-        cpu=config.device == "cpu",
-        mixed_precision=recipe.precision,
-        step_scheduler_with_optimizer=False,
-        dynamo_backend=COMPILER if config.compile else None,
-    )
+    accelerator = accelerator_of(config, recipe)
     if config.device == "cuda" and accelerator.device.type != "cuda":
         raise ValueError("device: cuda was asked for, but this torch sees no CUDA device")
     main = accelerator.is_main_process
@@ -92,10 +87,7 @@ def train(config: TrainConfig) -> dict[str, float]:
             stacklevel=2,
         )
 
-    data = config.data
-    if data is None:
-        with accelerator.main_process_first():
-            data = embedded_data(config)
+    data = data_of(config, accelerator)
     options = {"categories": config.category or None, "exclude_licences": config.exclude_licence}
     chosen = TouchDataset(data, "train", **options)
     chosen.records = _drawn(chosen.records, config.limit, config.seed)
@@ -199,8 +191,17 @@ def train(config: TrainConfig) -> dict[str, float]:
         draw_reconstructions(average.network, held_out if len(held_out) else samples.data, config.output)
         say(f"wrote {config.output / 'weights.safetensors'}")
         log.close()
-    accelerator.end_training()
     return figures
+
+
+def accelerator_of(config: TrainConfig, recipe: Recipe) -> Accelerator:
+    """What the processes of this run share; they are one group until `main` ends."""
+    return Accelerator(
+        cpu=config.device == "cpu",
+        mixed_precision=recipe.precision,
+        step_scheduler_with_optimizer=False,
+        dynamo_backend=COMPILER if config.compile else None,
+    )
 
 
 def fast_bfloat16() -> bool:
@@ -222,6 +223,14 @@ def _drawn(records: list, limit: int | None, seed: int) -> list:
     return [records[row] for row in sorted(rows)]
 
 
+def data_of(config: TrainConfig, accelerator: Accelerator) -> Path:
+    """Directory of the data set; the embedded one is built by one process."""
+    if config.data is not None:
+        return config.data
+    with accelerator.main_process_first():
+        return embedded_data(config)
+
+
 def embedded_data(config: TrainConfig) -> Path:
     """Directory of the embedded procedural data set, built on first use."""
     from touchnet.data.factory import Parameters
@@ -238,18 +247,19 @@ def train_each(config: TrainConfig) -> None:
     """Trains one network for each category of the split `train`; with --resume those that are not finished."""
     if len(config.category) > 1:
         raise ValueError(f"category {EACH!r} stands alone, got {', '.join(config.category)}")
-    data = config.data or embedded_data(config)
+    accelerator = accelerator_of(config, resolve_recipe(config))
+    data = data_of(config, accelerator)
     categories = TouchDataset(data, "train", exclude_licences=config.exclude_licence).categories
     if not categories:
         raise ValueError(NO_SHAPES)
     for category in categories:
         output = config.output / category
         resume = config.resume and (output / "checkpoint.pt").exists()
-        print(f"{category}:")
+        accelerator.print(f"{category}:")
         try:
             train(dataclasses.replace(config, data=data, category=(category,), output=output, resume=resume))
         except NothingLeft as finished:
-            print(finished)
+            accelerator.print(finished)
 
 
 @cli.command("touchnet train")
@@ -259,6 +269,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         train_each(config)
     else:
         train(config)
+    if torch.distributed.is_available() and torch.distributed.is_initialized():
+        torch.distributed.destroy_process_group()
     return 0
 
 
