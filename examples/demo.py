@@ -39,6 +39,7 @@ def main() -> None:
 
     run(
         train, "--shapes", options.shapes, "--cache", output, "--steps", options.steps, "--model", options.model,
+        "--schedule", "constant", "--samples.min-contacts", 256,  # what a short training learns most from
         "--validate-every", options.steps, "--output", output / "model", "--force",
     )  # fmt: skip
     data, weights = output / f"procedural-{options.shapes}", output / "model" / "weights.safetensors"

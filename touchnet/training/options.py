@@ -96,7 +96,8 @@ class TrainConfig:
     learning_rate: float | None = None
     """Peak learning rate of Adam(W) (recipe default: 2e-3; paper: 1e-4)."""
     schedule: Literal["cosine", "multistep", "constant"] | None = None
-    """cosine: warm-up, then down to 1 % at the last step; multistep: halved every 50 epochs (recipe paper)."""
+    """cosine: warm-up, then down to 1 % at the last step; multistep: halved every 50 epochs (recipe paper); constant:
+    better for a thousand steps or fewer."""
     loss: Loss | None = None
     """cross_entropy (recipe default) or squared (recipe paper, eq. 5)."""
     balance: float | None = None
