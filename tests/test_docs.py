@@ -54,7 +54,7 @@ QUICK = {
     "explore": "--resolution 24 --device cpu",
     "view": "--save page.html --resolution 24 --steps 1 --suggestions 1 --force --device cpu",
     "simulate": "--touches 64 --trajectories 1 --near 512 --box 256 --surface 512",
-    "train": "--steps 2 --model tiny --samples.queries 64 --samples.min-contacts 32 --samples.max-contacts 64 "
+    "train": "--steps 2 --model tiny --samples.queries 64 --samples.min-contacts 32 --samples.max-contacts 256 "
     "--workers 0 --device cpu --force",
     "evaluate": "--resolution 16 --samples 500 --contacts 64 --curve-contacts 64 --gallery 0 --limit 1 "
     "--normals with --device cpu --force",
