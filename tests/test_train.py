@@ -257,13 +257,15 @@ def test_a_stop_in_mid_epoch_resumes_exactly(eggs, tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_a_killed_run_leaves_whole_files_and_resumes_to_the_same_weights(eggs, tmp_path):
     arguments = [
-        sys.executable, "-m", "touchnet.train", "--data", str(eggs), "--model", "tiny", "--steps", "120",
+        sys.executable, "-m", "touchnet.train", "--data", str(eggs), "--model", "tiny", "--steps", "240",
         "--samples.queries", "256", "--samples.max-contacts", "256", "--checkpoint-every", "4", "--workers", "1",
         "--device", "cpu",
     ]  # fmt: skip
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     subprocess.run([*arguments, "-o", str(tmp_path / "straight")], check=True, env=environment, capture_output=True)
-    moments = np.random.default_rng(0).uniform(0, 0.3, size=10)
+    log = (tmp_path / "straight/metrics.jsonl").read_text().splitlines()
+    step = json.loads(log[-1])["seconds"] / 240
+    moments = np.random.default_rng(0).uniform(0, 12 * step, size=10)  # ten times 4 + 12 steps: the run does not end
     resume: list[str] = []
     for moment in moments:
         run = subprocess.Popen(
