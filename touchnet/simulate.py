@@ -29,7 +29,7 @@ class Options:
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="DIR")] = None
     """The data set directory to make or to complete."""
     procedural: int = 0
-    """Add this many procedural bottles, airplanes, cars and simple solids."""
+    """Add this many procedural airplanes, bottles, cars, cups, mugs, vases and simple solids."""
     verify: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Only check the data set DIR against its checksums."""
     layout: Literal["auto", "index", "files", "shapenet", "modelnet", "shapenet_touch"] = "auto"

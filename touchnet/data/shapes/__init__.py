@@ -1,4 +1,4 @@
-"""Procedural bottles, airplanes, cars and simple solids: closed meshes out of seeded numbers, y up as real ones are.
+"""Procedural airplanes, bottles, cars, cups, mugs, vases and simple solids: closed meshes out of seeded numbers, y up.
 
 A shape is the union of simple parts, each a field that is positive inside and about the distance to its surface there,
 evaluated on a grid around the part only; marching cubes makes one closed mesh of the whole.
@@ -17,10 +17,20 @@ from touchnet.data.shapes.airplanes import airplane
 from touchnet.data.shapes.bottles import bottle
 from touchnet.data.shapes.cars import car
 from touchnet.data.shapes.solids import simple_solid
+from touchnet.data.shapes.vessels import cup, mug, vase
 
 __all__ = ["CATEGORIES", "build_procedural", "procedural_mesh", "procedural_sources"]
 
-_MAKERS = {"airplane": airplane, "bottle": bottle, "car": car, "solid": simple_solid}
+_MAKERS = {
+    "airplane": airplane,
+    "bottle": bottle,
+    "car": car,
+    "solid": simple_solid,
+    "cup": cup,
+    "mug": mug,
+    "vase": vase,
+}
+# The order is part of what a seed means: new ones come last.
 CATEGORIES = tuple(_MAKERS)
 
 # Raised when the same seed comes to mean another shape.
@@ -28,10 +38,11 @@ EDITION = 1
 
 
 def procedural_mesh(category: str, seed: int, *, resolution: int = 128) -> trimesh.Trimesh:
-    """A closed bottle, airplane, car or simple solid (y up, longest side 1, centred) that depends on the seed alone.
+    """A closed shape of a category (y up, longest side 1, centred) that depends on the seed alone.
 
     Args:
-        category: "airplane", "bottle", "car" or "solid" (up to four balls, boxes, cylinders, cones and rings in one).
+        category: "airplane", "bottle", "car", "solid" (up to four balls, boxes, cylinders, cones and rings in one),
+            "cup", "mug" or "vase".
         seed: ≥ 0; every seed gives another shape.
         resolution: grid cells along the longest side; the thinnest parts are 2 % of it thick.
 

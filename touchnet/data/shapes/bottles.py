@@ -1,7 +1,5 @@
 """Procedural bottles, jars, jugs and canisters."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from touchnet.data.shapes.fields import (
@@ -16,6 +14,7 @@ from touchnet.data.shapes.fields import (
     superellipse,
     tube,
 )
+from touchnet.data.shapes.handles import add_handle
 
 
 def bottle(rng: np.random.Generator, resolution: int) -> Solid:
@@ -145,7 +144,7 @@ def bottle(rng: np.random.Generator, resolution: int) -> Solid:
             solid.add(*capsule((0, top - high, 0), (0, 0.995 - 0.02, 0), cap * 0.4, 0.02))
 
     if kind == "jug" or (kind in ("flask", "squared") and rng.random() < 0.15):
-        _bottle_handle(rng, solid, profile, low + shoulder * 0.9, low * rng.uniform(0.25, 0.6), beside)
+        add_handle(rng, solid, profile, low + shoulder * 0.9, low * rng.uniform(0.25, 0.6), beside)
     if kind == "canister":
         _canister_grip(rng, solid, radius, low, flat)
     if kind == "spray":
@@ -161,24 +160,6 @@ def bottle(rng: np.random.Generator, resolution: int) -> Solid:
 
         solid.add(label, (-reach, at - high, -reach), (reach, at + high, reach))
     return solid
-
-
-def _bottle_handle(
-    rng: np.random.Generator, solid: Solid, profile: Callable[[Array], Array], high: float, low: float, beside: float
-) -> None:
-    thick = rng.uniform(0.018, 0.035)
-    r0, r1 = (float(profile(np.float32(y))) for y in (low, high))
-    out = min(max(r0, r1) + rng.uniform(0.09, 0.2), beside - thick - 0.01)
-    turns = np.linspace(0, np.pi, 9)
-    square = rng.uniform(0.5, 1.0)  # 1: half an ellipse, less: flatter
-    lift = np.sign(np.cos(turns)) * np.abs(np.cos(turns)) ** square
-    y = (low + high) / 2 - lift * (high - low) / 2
-    inner = r0 + (r1 - r0) * (y - low) / (high - low) - 0.5 * thick
-    x = inner + (out - inner) * np.sin(turns) ** square
-    sides = (1, -1) if rng.random() < 0.12 else (1,)
-    for side in sides:
-        field, box_low, box_high = tube([(side * a, b, 0) for a, b in zip(x, y, strict=True)], thick)
-        solid.add(field, box_low, box_high, blend=0.01)
 
 
 def _canister_grip(rng: np.random.Generator, solid: Solid, radius: float, low: float, flat: float) -> None:
