@@ -60,7 +60,7 @@ def test_vessels_are_open_and_their_walls_whole(category, handles, resolution):
         mesh = procedural_mesh(category, seed, resolution=resolution)
         assert 1 - mesh.euler_number / 2 in handles, seed
         hollow += mesh.volume < 0.6 * mesh.convex_hull.volume
-    assert 12 <= hollow <= 23 if category != "mug" else hollow >= 12
+    assert 8 <= hollow < 24, "filled ones are needed too"
 
 
 def test_same_seed_same_bytes():

@@ -1,4 +1,7 @@
-"""Procedural cups, mugs and vases: open vessels with walls of 2 to 7 % of their size, some of them filled or shut."""
+"""Procedural cups, mugs and vases: open vessels with walls of 2 to 7 % of their size, and filled ones of these kinds.
+
+Both are needed: where a network has seen many hollow vessels and few filled ones, it takes filled bottles for hollow.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -16,7 +19,7 @@ Profile = Callable[[Array], Array]
 
 def cup(rng: np.random.Generator, resolution: int) -> Solid:
     """Tumblers, goblets and glasses with a stem, lidded beakers. Height 1, the mouth up."""
-    kind = rng.choice(["tumbler", "goblet", "beaker"], p=[0.45, 0.4, 0.15])
+    kind = rng.choice(["tumbler", "goblet", "beaker"], p=[0.45, 0.35, 0.2])
     section = _section(rng)
     if kind == "goblet":
         return _goblet(rng, resolution, section)
@@ -58,7 +61,7 @@ def mug(rng: np.random.Generator, resolution: int) -> Solid:
             return np.minimum(thick - np.abs(y - height), plate - out)
 
         solid.add(dish, (-plate, -thick, -plate), (plate, rise + thick, plate))
-    if rng.random() < 0.92:
+    if rng.random() < 0.85:
         floor = rng.uniform(1.0, 2.5)
         _cut(solid, profile, 0.0, tall + 0.2, wall, section, floor=floor, heel=rng.uniform(0.0, 0.1))
     return solid
@@ -95,11 +98,15 @@ def vase(rng: np.random.Generator, resolution: int) -> Solid:
     solid = _body(profile, 1.0, section, resolution, all_round=beside if handles else 0.0)
     if handles:
         add_handle(rng, solid, profile, rng.uniform(0.8, 0.95), rng.uniform(0.4, 0.65), beside, two=0.8)
-    closed = rng.random()
-    if closed > 0.25:
+    narrow = not pot and neck < 0.6 * belly
+    if rng.random() < (0.35 if narrow else 0.65):
         floor = rng.uniform(1.0, 2.5)
         _cut(solid, profile, foot, 1.2, wall, section, floor=floor, heel=rng.uniform(0.0, 0.15))
-    elif closed > 0.1:  # a lid
+        return solid
+    top = rng.random()
+    if top < 0.25:  # an opening that does not lead far
+        _cut(solid, profile, 1 - rng.uniform(0.04, 0.2), 1.2, wall, section)
+    elif top < 0.6:  # a lid
         mouth = float(profile(np.float32(1.0)))
         high = rng.uniform(0.03, 0.12)
         solid.add(*cylinder((0, 1 - high / 2, 0), 1, mouth * rng.uniform(1.0, 1.25), high / 2, 0.01))
@@ -167,7 +174,7 @@ def _goblet(rng: np.random.Generator, resolution: int, section: _Section) -> Sol
     knots += [(stem_end + share * high, radius) for share, radius in bowl]
     profile = curve(knots)
     solid = _body(profile, 1.0, section, resolution)
-    if rng.random() < 0.95:
+    if rng.random() < 0.85:
         under = 0.07 * high if shape == "straight" else 0.0  # what its bottom rises from the stem to the wall
         _cut(solid, profile, stem_end + under, 1.2, wall, section, floor=rng.uniform(1.0, 3.0))
     return solid
