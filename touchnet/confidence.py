@@ -38,7 +38,7 @@ class Calibration(NamedTuple):
     shape: float
 
 
-DEFAULT = Calibration((-0.683, 0.239, 0.255, 0.272, 0.314), 1.18)
+DEFAULT = Calibration((-0.798, 0.231, 0.229, 0.277, 0.316), 1.2)
 
 
 def expected_error(
