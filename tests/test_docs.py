@@ -176,7 +176,8 @@ def stand_ins(tmp_path_factory) -> Path:
     for folder in ("DIR", "data", "data/real", "DATA"):
         build(sources, here / folder, parameters, progress=False)
     torch.manual_seed(0)
-    for folder in ("runs/mine", "runs/mine/model", "runs/first", "runs/second", "runs/third", "runs/mean", "runs/fourth"):
+    for run in ("mine", "mine/model", "first", "second", "third", "mean", "fourth"):
+        folder = f"runs/{run}"
         (here / folder).mkdir(parents=True, exist_ok=True)
         save_weights(TouchNet("tiny"), here / folder / "weights.safetensors")
     (here / "examples").symlink_to(ROOT / "examples")
