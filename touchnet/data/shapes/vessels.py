@@ -25,7 +25,7 @@ def cup(rng: np.random.Generator, resolution: int) -> Solid:
         return _goblet(rng, resolution, section)
     rim = rng.uniform(0.25, 0.5)
     wall = rng.uniform(THINNEST, 0.06)
-    profile = curve(_side(rng, 0.0, 1.0, rim * rng.uniform(0.6, 1.0), rim))
+    profile = curve(_side(rng, 1.0, rim * rng.uniform(0.6, 1.0), rim))
     solid = _body(profile, 1.0, section, resolution)
     base = rng.uniform(0.0, 0.1) if rng.random() < 0.3 else 0.0  # a hollow under the bottom
     if base:
@@ -46,7 +46,7 @@ def mug(rng: np.random.Generator, resolution: int) -> Solid:
     rim = rng.uniform(0.36, 0.48)
     saucer = rng.random() < 0.15
     wall = rng.uniform(1.8 if saucer else 1.4, 3.5) * THINNEST
-    profile = curve(_side(rng, 0.0, tall, rim * rng.uniform(0.5 if saucer else 0.75, 1.0), rim))
+    profile = curve(_side(rng, tall, rim * rng.uniform(0.5 if saucer else 0.75, 1.0), rim))
     aside = rim * 1.15 + rng.uniform(0.15, 0.35)
     solid = _body(profile, tall, section, resolution, aside=aside, all_round=0.85 if saucer else 0.0)
     high, low = tall * rng.uniform(0.72, 0.93), tall * rng.uniform(0.12, 0.4)
@@ -74,7 +74,7 @@ def vase(rng: np.random.Generator, resolution: int) -> Solid:
     belly = rng.uniform(0.16, 0.5)
     wall = rng.uniform(THINNEST, 0.05)
     if pot:
-        knots = _side(rng, 0.0, 1.0, belly * rng.uniform(0.5, 0.9), belly)
+        knots = _side(rng, 1.0, belly * rng.uniform(0.5, 0.9), belly)
     else:
         at = rng.uniform(0.25, 0.75)
         neck_at = rng.uniform(at + 0.1, 0.93)
@@ -92,10 +92,9 @@ def vase(rng: np.random.Generator, resolution: int) -> Solid:
             (foot + y * (1 - foot), r) for y, r in knots
         ]
     profile = curve([(y, max(r, 0.06)) for y, r in knots])
-    widest = max(r for _, r in knots)
     handles = not pot and rng.random() < 0.25
-    beside = widest * 1.05 + (0.25 if handles else 0.0)
-    solid = _body(profile, 1.0, section, resolution, all_round=beside if handles else 0.0)
+    beside = max(r for _, r in knots) * 1.05 + 0.25 if handles else 0.0
+    solid = _body(profile, 1.0, section, resolution, all_round=beside)
     if handles:
         add_handle(rng, solid, profile, rng.uniform(0.8, 0.95), rng.uniform(0.4, 0.65), beside, two=0.8)
     narrow = not pot and neck < 0.6 * belly
@@ -132,21 +131,21 @@ def _section(rng: np.random.Generator) -> _Section:
     )
 
 
-def _side(rng: np.random.Generator, low: float, high: float, bottom: float, top: float) -> list[tuple[float, float]]:
+def _side(rng: np.random.Generator, high: float, bottom: float, top: float) -> list[tuple[float, float]]:
     """Knots (y, radius) of a wall from bottom to top: straight, rounded below, waisted, bulging, or with a lip."""
-    at = low + (high - low) * rng.uniform(0.3, 0.7)
-    between = bottom + (top - bottom) * (at - low) / (high - low)
+    at = high * rng.uniform(0.3, 0.7)
+    between = bottom + (top - bottom) * at / high
     style = rng.choice(["straight", "round", "waist", "bulge", "lip"], p=[0.4, 0.2, 0.12, 0.13, 0.15])
     if style == "round":
-        return [(low, bottom * rng.uniform(0.5, 0.8)), (low + 0.25 * (high - low), between), (high, top)]
+        return [(0.0, bottom * rng.uniform(0.5, 0.8)), (0.25 * high, between), (high, top)]
     if style == "waist":
-        return [(low, bottom), (at, between * rng.uniform(0.8, 0.95)), (high, top)]
+        return [(0.0, bottom), (at, between * rng.uniform(0.8, 0.95)), (high, top)]
     if style == "bulge":
-        return [(low, bottom), (at, between * rng.uniform(1.05, 1.2)), (high, top)]
+        return [(0.0, bottom), (at, between * rng.uniform(1.05, 1.2)), (high, top)]
     if style == "lip":
-        return [(low, bottom), (high - 0.08 * (high - low), top * rng.uniform(0.85, 0.95)), (high, top)]
+        return [(0.0, bottom), (high - 0.08 * high, top * rng.uniform(0.85, 0.95)), (high, top)]
     # Knots on a straight line: the curve through them is the line.
-    return [(low, bottom), (at, between), (high, top)]
+    return [(0.0, bottom), (at, between), (high, top)]
 
 
 def _goblet(rng: np.random.Generator, resolution: int, section: _Section) -> Solid:
