@@ -29,7 +29,8 @@ class Options:
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="DIR")] = None
     """The data set directory to make or to complete."""
     procedural: int = 0
-    """Add this many procedural airplanes, bottles, cars, cups, mugs, vases and simple solids."""
+    """Add this many procedural shapes: airplanes, bottles, cars, simple solids, cups, mugs, vases, machine parts,
+    tools, furniture and figures in turn."""
     verify: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Only check the data set DIR against its checksums."""
     layout: Literal["auto", "index", "files", "shapenet", "modelnet", "shapenet_touch"] = "auto"

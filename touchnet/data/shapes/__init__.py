@@ -1,4 +1,4 @@
-"""Procedural airplanes, bottles, cars, cups, mugs, vases and simple solids: closed meshes out of seeded numbers, y up.
+"""Procedural shapes of eleven categories, from airplanes to hand tools: closed meshes out of seeded numbers, y up.
 
 A shape is the union of simple parts, each a field that is positive inside and about the distance to its surface there,
 evaluated on a grid around the part only; marching cubes makes one closed mesh of the whole.
@@ -16,7 +16,11 @@ from touchnet.data.factory import MeshSource, Parameters, build
 from touchnet.data.shapes.airplanes import airplane
 from touchnet.data.shapes.bottles import bottle
 from touchnet.data.shapes.cars import car
+from touchnet.data.shapes.figures import figure
+from touchnet.data.shapes.furniture import furniture
+from touchnet.data.shapes.parts import part
 from touchnet.data.shapes.solids import simple_solid
+from touchnet.data.shapes.tools import tool
 from touchnet.data.shapes.vessels import cup, mug, vase
 
 __all__ = ["CATEGORIES", "build_procedural", "procedural_mesh", "procedural_sources"]
@@ -29,6 +33,10 @@ _MAKERS = {
     "cup": cup,
     "mug": mug,
     "vase": vase,
+    "part": part,
+    "tool": tool,
+    "furniture": furniture,
+    "figure": figure,
 }
 # The order is part of what a seed means: new ones come last.
 CATEGORIES = tuple(_MAKERS)
@@ -42,7 +50,7 @@ def procedural_mesh(category: str, seed: int, *, resolution: int = 128) -> trime
 
     Args:
         category: "airplane", "bottle", "car", "solid" (up to four balls, boxes, cylinders, cones and rings in one),
-            "cup", "mug" or "vase".
+            "cup", "mug", "vase", "part" (of a machine), "tool", "furniture" or "figure" (animals, people, lumps).
         seed: ≥ 0; every seed gives another shape.
         resolution: grid cells along the longest side; the thinnest parts are 2 % of it thick.
 

@@ -107,9 +107,11 @@ def capsule(a: Vector, b: Vector, radius: float, end: float | None = None) -> tu
     return field, np.minimum(a, b) - reach, np.maximum(a, b) + reach
 
 
-def tube(points: Sequence[Vector], radius: float) -> tuple[Field, Vector, Vector]:
-    """Capsules along a polyline."""
-    pieces = [capsule(a, b, radius) for a, b in itertools.pairwise(points)]
+def tube(points: Sequence[Vector], radius: float | Sequence[float]) -> tuple[Field, Vector, Vector]:
+    """Capsules along a polyline, of one radius or of one at each point."""
+    radii = np.broadcast_to(radius, len(points)).tolist()
+    ends = itertools.pairwise(zip(points, radii, strict=True))
+    pieces = [capsule(a, b, start, end) for (a, start), (b, end) in ends]
 
     def field(x: Array, y: Array, z: Array) -> Array:
         return functools.reduce(np.maximum, [piece[0](x, y, z) for piece in pieces])
@@ -146,6 +148,17 @@ def box(centre: Vector, half: Vector, rounding: float = 0.0, pitch: float = 0.0)
 
     reach = np.array([abs(cos) * half[0] + abs(sin) * half[1], abs(sin) * half[0] + abs(cos) * half[1], half[2]])
     return field, centre - reach, centre + reach
+
+
+def ball(centre: Vector, radii: Vector) -> tuple[Field, Vector, Vector]:
+    """An ellipsoid."""
+    centre, radii = np.asarray(centre, dtype=np.float32), np.asarray(radii, dtype=np.float32)
+
+    def field(x: Array, y: Array, z: Array) -> Array:
+        dx, dy, dz = ((at - middle) / radius for at, middle, radius in zip((x, y, z), centre, radii, strict=True))
+        return (1 - np.sqrt(dx * dx + dy * dy + dz * dz)) * radii.min()
+
+    return field, centre - radii, centre + radii
 
 
 def superellipse(x: Array, z: Array, a: Array, b: Array, power: Array | float) -> Array:

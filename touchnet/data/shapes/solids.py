@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchnet.data.shapes.fields import Array, Field, Solid, box, cylinder
+from touchnet.data.shapes.fields import Array, Field, Solid, ball, box, cylinder
 
 
 class _Piece(NamedTuple):
@@ -22,8 +22,7 @@ def _primitive(rng: np.random.Generator, size: float) -> _Piece:
     rounding = 0.6 * min(a, b, c) * rng.random() ** 3
 
     if kind == "ball":
-        least = min(a, b, c)
-        return _Piece(lambda x, y, z: (1 - np.sqrt((x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2)) * least, max(a, b, c))
+        return _Piece(ball((0, 0, 0), (a, b, c))[0], max(a, b, c))
     if kind == "box":
         return _Piece(box((0, 0, 0), (a, b, c), rounding)[0], math.hypot(a, b, c))
     if kind == "cylinder":
