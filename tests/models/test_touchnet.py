@@ -165,16 +165,19 @@ def test_passes_go_on_until_the_normals_settle(model, monkeypatch):
     assert seen == []
 
 
-def test_training_sees_both_passes_by_key(model, monkeypatch):
-    monkeypatch.setattr("touchnet.models.touchnet.PASSES", 2)
-    touches, _ = touches_on_sphere(40, batch=2)
-    queries, keys = queries_in_cube(100, batch=2), torch.tensor([7, 12])
+def test_training_sees_every_pass_by_key(model, monkeypatch):
+    touches, _ = touches_on_sphere(40, batch=5)
+    queries, keys = queries_in_cube(100, batch=5), torch.tensor([7, 0, 2, 4, 6])
     found = model.logits(touches, queries, torch.zeros_like(touches), keys)
     assert found.requires_grad
-    first_pass = model.decode_logits(model._encode(touches, None), queries)
-    torch.testing.assert_close(found[0], first_pass[0])
-    torch.testing.assert_close(found[1], model.logits(touches, queries)[1])
-    assert not torch.allclose(found[1], first_pass[1])
+    seen = []
+    for row, passes in enumerate([1, 2, 3, 4, 2]):
+        monkeypatch.setattr("touchnet.models.touchnet.PASSES", passes)
+        one = slice(row, row + 1)
+        seen.append(model.logits(touches[one], queries[one])[0])
+        torch.testing.assert_close(found[row], seen[-1])
+    assert not torch.allclose(seen[0], seen[1])
+    assert not torch.allclose(seen[1], seen[2])
 
 
 def test_normals_change_the_field(model):

@@ -89,13 +89,13 @@ class TouchNet(nn.Module):
         """As :meth:`forward`, before the sigmoid (what the cross-entropy is computed from).
 
         Args:
-            keys: (B,) random integers; the samples with an odd one stay without estimated normals, as training wants
-                half of the time: it has to learn the first pass too. None: all have them.
+            keys: (B,) random integers ≥ 0, which say how many passes each sample is given, as training wants it to
+                vary: 1 (no estimates) for odd ones, 2 to 4 for the others. None: as many as it takes.
         """
         if keys is None:
             return self.decode_logits(self.encode(touches, normals), queries)
         if self.estimates_normals:
-            normals = self._completed(touches, normals, keys % 2 == 0, passes=2)
+            normals = self._completed(touches, normals, torch.where(keys % 2 == 1, 1, 2 + keys // 2 % 3))
         return self.decode_logits(self._encode(touches, normals), queries)
 
     @property
@@ -122,22 +122,23 @@ class TouchNet(nn.Module):
                 guess = self.normals_of(features, touches).to(begin)
                 if (_change(begin, guess, unknown) <= SETTLED * ESTIMATED_LENGTH).all():
                     return features
-            chosen = torch.ones(len(touches), dtype=torch.bool)
-            normals = self._completed(touches, normals, chosen, passes=PASSES, begin=guess)
+            normals = self._completed(touches, normals, torch.full((len(touches),), PASSES), begin=guess)
         return self._encode(touches, normals)
 
     @torch.no_grad()
     def _completed(
-        self, touches: Tensor, normals: Tensor | None, chosen: Tensor, *, passes: int, begin: Tensor | None = None
+        self, touches: Tensor, normals: Tensor | None, passes: Tensor, *, begin: Tensor | None = None
     ) -> Tensor:
-        """Normals (B, N, 3) with estimates in place of those that are zero, in the samples `chosen` (B,), for the last
-        of at most `passes` passes; the first one is made with the estimates `begin`."""
+        """Normals (B, N, 3) with estimates in place of those that are zero, for the last of at most `passes` passes
+        (B,), all ≥ 1; the first one is made with the estimates `begin`."""
         unknown = _unknown(touches, normals)
-        rows = (unknown.any(dim=1) & chosen.to(unknown.device)).nonzero()[:, 0]
+        passes = passes.to(unknown.device)
+        rows = unknown.any(dim=1).nonzero()[:, 0]
         completed = torch.zeros_like(touches) if normals is None else normals.clone()
         if begin is not None:
             completed = torch.where(unknown[..., None], begin, completed)
-        for _ in range(passes - 1):
+        for made in range(1, int(passes.max())):
+            rows = rows[passes[rows] > made]
             if len(rows) == 0:
                 break
             before, missing = completed[rows], unknown[rows]
