@@ -88,7 +88,8 @@ def _driver(rng: np.random.Generator, resolution: int) -> Solid:
         knots += [(x, radius), (end - 0.01, radius * rng.uniform(0.8, 1.1))]
         x = end
     if x < 0.5:
-        knots += [(x, radius := max(0.4 * thick, 0.016)), (0.5, radius)]
+        radius = max(0.4 * thick, 0.016)
+        knots += [(x, radius), (0.5, radius)]
     profile = curve(knots)
     reach = max(r for _, r in knots) * 1.05
     solid = _grid(resolution, reach + 0.03, reach + 0.03)
