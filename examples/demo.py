@@ -29,7 +29,7 @@ def run(command, *arguments: object) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--output", type=Path, default=Path("runs/demo"))
-    parser.add_argument("--shapes", type=int, default=60, help="procedural shapes to train on")
+    parser.add_argument("--shapes", type=int, default=77, help="procedural shapes to train on")
     parser.add_argument("--steps", type=int, default=350, help="training steps")
     parser.add_argument("--model", default="base", choices=["base", "tiny"])
     parser.add_argument("--resolution", type=int, default=256, help="cells of the meshes along the longest side")

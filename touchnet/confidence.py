@@ -38,7 +38,7 @@ class Calibration(NamedTuple):
     shape: float
 
 
-DEFAULT = Calibration((-0.798, 0.231, 0.229, 0.277, 0.316), 1.2)
+DEFAULT = Calibration((-0.872, 0.255, 0.209, 0.258, 0.306), 1.21)
 
 
 def expected_error(
