@@ -46,6 +46,7 @@ def main() -> None:
         parser.error(f"PYBULLET_DATA should hold random_urdfs, {options.source} does not")
 
     seen: set[tuple] = set()
+    written: set[Path] = set()
     for kind, path in chosen(options.source):
         mesh = trimesh.load(path, force="mesh", process=False)
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
@@ -53,10 +54,12 @@ def main() -> None:
         if len(mesh.faces) < 8 or shape in seen:
             continue
         seen.add(shape)
-        name = "_".join(path.relative_to(options.source).with_suffix("").parts)
-        (options.output / kind).mkdir(parents=True, exist_ok=True)
-        trimesh.Trimesh(mesh.vertices, mesh.faces).export(options.output / kind / f"{name}.ply")
-    print(f"{len(seen)} meshes in {options.output}")
+        # A body that is there as OBJ and as STL has one name: the STL file takes the place of the other.
+        target = options.output / kind / ("_".join(path.relative_to(options.source).with_suffix("").parts) + ".ply")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        trimesh.Trimesh(mesh.vertices, mesh.faces).export(target)
+        written.add(target)
+    print(f"{len(written)} meshes in {options.output}")
 
 
 if __name__ == "__main__":

@@ -18,6 +18,8 @@ def test_each_body_is_written_once(tmp_path, monkeypatch, capsys):
     write("a1/meshes/hip_mirror.stl", (1, 2, 3.5))  # by its name the same
     write("laikago/chassis.obj", (2, 4, 6))  # the same but for its size
     write("laikago/chassis_vhacd.obj", (1, 5, 9))
+    write("laikago/leg.obj", (1, 1, 9))
+    write("laikago/leg.stl", (1, 1, 8))  # the same in another format
     write("stone.obj", (1, 2, 3))  # of another kind
     for n in range(30):
         write(f"random_urdfs/{n:03}/{n:03}.obj", (1, 1, 2 + n))
@@ -29,9 +31,10 @@ def test_each_body_is_written_once(tmp_path, monkeypatch, capsys):
         "random/random_urdfs_000_000.ply",
         "random/random_urdfs_025_025.ply",
         "robot/a1_meshes_hip.ply",
+        "robot/laikago_leg.ply",
         "toy/stone.ply",
     ]
-    assert "4 meshes" in capsys.readouterr().out
+    assert "5 meshes" in capsys.readouterr().out
 
     monkeypatch.setattr(sys, "argv", ["unlike_training", str(tmp_path), str(output)])
     with pytest.raises(SystemExit):
