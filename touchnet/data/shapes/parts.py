@@ -86,16 +86,7 @@ def _bracket(rng: np.random.Generator, resolution: int) -> Solid:
         solid.add(*box((x, high / 2, 0), (thick, high / 2, wide * rng.uniform(0.7, 1.0))))
         if rng.random() < 0.5:
             leg, rib = rng.uniform(0.1, 0.9) * min(high, long), max(THIN, 0.6 * thick)
-            sign = 1.0 if x <= 0 else -1.0
-            corner = np.float32(x)
-
-            def gusset(
-                x: Array, y: Array, z: Array, *, leg: float = leg, rib: float = rib, sign: float = sign, corner=corner
-            ) -> Array:
-                out = sign * (x - corner)
-                return np.minimum(np.minimum(leg - out - y, rib - np.abs(z)), np.minimum(out, y))
-
-            solid.add(gusset, (-0.5, 0, -rib), (0.5, leg, rib))
+            solid.add(*_gusset(x, 1.0 if x <= 0 else -1.0, leg, rib))
         for _ in range(int(rng.integers(0, 3))):
             y, z = high * rng.uniform(0.3, 0.85), wide * rng.uniform(-0.6, 0.6)
             solid.cut(*cylinder((x, y, z), 0, rng.uniform(0.03, 0.5 * wide), 2 * thick + 0.02))
@@ -103,6 +94,16 @@ def _bracket(rng: np.random.Generator, resolution: int) -> Solid:
         x, z = rng.uniform(-0.6, 0.6, size=2) * [long, wide]
         solid.cut(*cylinder((x, 0, z), 1, rng.uniform(0.025, 0.08), 3 * thick))
     return solid
+
+
+def _gusset(at: float, sign: float, leg: float, rib: float) -> tuple[Field, Vector, Vector]:
+    """A triangle between the base and a wall at x = `at`, on the side of `sign`, `rib` thick both ways."""
+
+    def field(x: Array, y: Array, z: Array) -> Array:
+        out = sign * (x - np.float32(at))
+        return np.minimum(np.minimum(leg - out - y, rib - np.abs(z)), np.minimum(out, y))
+
+    return field, (-0.5, 0, -rib), (0.5, leg, rib)
 
 
 def _turned(rng: np.random.Generator, resolution: int) -> Solid:
